@@ -332,6 +332,11 @@ def test_the_limit_is_reached_when_the_correction_is_there_whatever_the_errors_a
         assert np.max(np.abs(e[-1])) > 2e-7 and block.at_maximum == there
 
 
+def test_another_kind_of_learning_is_refused():
+    with pytest.raises(ParameterError, match="magic"):
+        replace(at.LearningParameters(), type="magic").validated()
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [

@@ -15,11 +15,32 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.designs.learning import SETTLED, knocked, settling
-from hysteresis_ros.designs.learning_filters import CHANGE, MARGIN, UNSEEN, Response, contraction, design_filters
+from hysteresis_ros.designs.learning_filters import (
+    CHANGE,
+    MARGIN,
+    UNSEEN,
+    Response,
+    contraction,
+    design_filters,
+    low_pass,
+)
 
 POINTS = 2049
 ANGLES = np.linspace(0.0, np.pi, POINTS)
 N = 400
+
+
+def test_a_low_pass_falls_by_half_at_its_cut_off():
+    response = low_pass(0.1, 501)
+    assert response[[0, 100, 500]] == pytest.approx([1.0, 0.5, 0.0]) and np.all(np.diff(response) <= 0.0)
+
+
+@pytest.mark.parametrize("asked", [0.05, 0.2])
+def test_the_bandwidth_of_a_filter_is_where_it_first_falls_by_3_db(asked):
+    model = np.exp(-2j * ANGLES)
+    found = design_filters("inversion", Response(model, model[np.newaxis]), N, bandwidth=asked)
+    below, at = np.abs(found.responses(2.0 * np.pi * found.bandwidth * np.array([0.98, 1.0]))[0])
+    assert at < np.sqrt(0.5) < below and found.bandwidth == pytest.approx(asked, rel=0.15)
 
 
 @pytest.mark.parametrize("delay", [1, 3, 6])
@@ -27,11 +48,11 @@ def test_a_repetitive_filter_looks_ahead_by_the_delay_of_the_loop_no_sample_more
     """For a pure delay the lead equals this delay: G T is real at every frequency, k Q."""
     model = np.exp(-1j * delay * ANGLES)
     found = design_filters("repetitive", Response(model, model[np.newaxis]), N)
-    low_pass, learned = found.responses(ANGLES)
-    passed = np.abs(low_pass) > 0.1
+    passing, learned = found.responses(ANGLES)
+    passed = np.abs(passing) > 0.1
     through = (learned * model)[passed]
     np.testing.assert_allclose(through.imag, 0.0, atol=1e-12)
-    gains = through.real / low_pass[passed]
+    gains = through.real / passing[passed]
     np.testing.assert_allclose(gains, gains[0], rtol=1e-9)
     assert 0.3 <= gains[0] <= 0.9
 
@@ -55,9 +76,9 @@ def test_where_all_plants_agree_inversion_is_the_inverse():
         for plants in ([model], [model, model]):
             found = design_filters("inversion", Response(model, np.array(plants)), N)
             assert np.isfinite(found.contraction) and found.contraction <= 1.0 - MARGIN
-            low_pass, learned = found.responses(ANGLES)
+            passing, learned = found.responses(ANGLES)
             passed = np.abs(ANGLES) < 0.5 * np.pi
-            np.testing.assert_allclose((learned * model)[passed], low_pass[passed], atol=0.02)
+            np.testing.assert_allclose((learned * model)[passed], passing[passed], atol=0.02)
 
 
 def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it():
@@ -68,11 +89,11 @@ def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it
     other = model * np.exp(1j * np.pi * within)
     response = Response(model, np.array([model, other]))
     found = design_filters("inversion", response, N)
-    low_pass, learned = found.responses(ANGLES)
-    sizes = np.max(np.abs(low_pass - learned * response.possible), axis=0) + UNSEEN * np.abs(learned)
+    passing, learned = found.responses(ANGLES)
+    sizes = np.max(np.abs(passing - learned * response.possible), axis=0) + UNSEEN * np.abs(learned)
     assert np.max(sizes) == pytest.approx(found.contraction, rel=1e-9) and np.max(sizes) <= 1.0 - MARGIN
     middle, above = np.argmin(np.abs(place - 0.1)), np.argmin(np.abs(place - 0.25))
-    assert found.bandwidth > 0.4 and abs(low_pass[middle]) < 0.9 and low_pass[above] == pytest.approx(1.0, abs=0.02)
+    assert found.bandwidth > 0.4 and abs(passing[middle]) < 0.9 and passing[above] == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("late", [1, 4])
@@ -90,8 +111,8 @@ def test_how_long_a_loop_answers_a_step_and_a_wrong_sample(pole, late):
 def test_with_a_smaller_gain_less_changes_and_without_any_nothing():
     model = np.exp(-2j * ANGLES)
     possible = np.array([0.8 * model, 1.3 * model])
-    low_pass, learned = design_filters("inversion", Response(model, possible), N).responses(ANGLES)
-    whole, half, none = (contraction(low_pass, learned, possible, gain) for gain in (1.0, 0.5, 0.0))
+    passing, learned = design_filters("inversion", Response(model, possible), N).responses(ANGLES)
+    whole, half, none = (contraction(passing, learned, possible, gain) for gain in (1.0, 0.5, 0.0))
     np.testing.assert_allclose(none, 1.0, rtol=1e-12)
     # the bound is convex in the gain
     assert np.all(half <= 0.5 * (whole + none) + 1e-12)

@@ -78,6 +78,17 @@ def test_what_is_wrong_with_a_request_is_named(asked, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(("count", "fits"), [(1, True), (50, True), (51, False)])
+def test_so_many_parameters_are_set_at_once(count, fits):
+    values = {f"pid.K{number}": "1" for number in range(count)}
+    text = json.dumps({"id": 1, "do": "set", "node": "motion_controller", "values": values})
+    if fits:
+        assert read_request(text)[2] == {"node": "motion_controller", "values": values}
+    else:
+        with pytest.raises(RequestError, match="1 … 50 parameters"):
+            read_request(text)
+
+
 def test_a_request_is_read_with_its_unit():
     assert read_request('{"id": 7, "do": "setpoint", "value": " 5 um"}') == (7, "setpoint", {"metres": 5e-6})
     assert read_request('{"id": 7, "do": "setpoint", "value": "-2e-6"}').values == {"metres": -2e-6}

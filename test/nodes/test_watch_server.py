@@ -22,6 +22,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 aiohttp = pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
 
 from pretended_axis import served  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
@@ -164,7 +165,7 @@ def test_the_tables_of_an_axis_are_sent_once_and_again_after_a_change():
         bench.link.ready, bench.link.ready_in = True, 0.004
         before = heard("status")
         await page.until(lambda said: heard("status") >= before + 3)
-        assert heard("axis") == 2
+        assert heard("axis") == 2 and all(said["axis"] for said in page.said if "axis" in said)
         assert page.said[-1]["status"]["ready"] == {"now": True, "in": 0.004}
 
     served(check)
@@ -280,6 +281,17 @@ def test_nothing_is_recorded_of_an_axis_whose_nodes_are_missing():
     with pytest.raises(AbsentError, match="nothing to record"):
         link.record(True)
     assert link.record(False) == "no recording is running"
+
+
+def test_a_change_of_a_parameter_is_known_if_it_is_of_a_node_of_this_axis():
+    link = linked()
+    link.namespace, link.version = "/axis", 0
+    changed = [Parameter("rate", Parameter.Type.DOUBLE, 2.0).to_parameter_msg()]
+    for node in ("/other/motion_controller", "/axis/recorder"):
+        link._on_parameters(SimpleNamespace(node=node, changed_parameters=changed))
+    assert link.version == 0 and link.values == {node: {"rate": 1.0} for node in NODES}
+    link._on_parameters(SimpleNamespace(node="/axis/motion_controller", changed_parameters=changed))
+    assert link.version == 1 and {node for node in NODES if link.values[node] == {"rate": 2.0}} == {"motion_controller"}
 
 
 def test_only_known_parameters_of_nodes_that_are_there_are_set():

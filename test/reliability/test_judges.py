@@ -30,7 +30,7 @@ from hysteresis_ros.laboratory.campaign.judging import (
     time_to_safe,
     worst,
 )
-from hysteresis_ros.laboratory.campaign.mishaps import CATALOGUE, FUSED, WAYS, Mishap, chosen, chosen_ways
+from hysteresis_ros.laboratory.campaign.mishaps import CATALOGUE, DEVICE, FUSED, WAYS, Mishap, chosen, chosen_ways
 from hysteresis_ros.laboratory.campaign.results import Results, conditions, line, load_results, page
 
 #: 0 … 10 V, 0.1 V per sample of 1 ms, displacements of 0 … 100 µm.
@@ -87,6 +87,8 @@ def test_a_sample_in_which_a_device_stalls_takes_as_long_as_it_is_seen_to():
     )
     assert largest_step(seen, BOUNDS) == pytest.approx(30.0)
     assert largest_step(seen, BOUNDS, stalls=True) == pytest.approx(1.0)
+    for graph, step in ((MISHAP.graph, 30.0), (DEVICE, 1.0)):  # the samples of a simulated plant do not stall
+        assert judged(trace(seen), replace(MISHAP, graph=graph), BOUNDS).figures.step == pytest.approx(step)
 
 
 def test_a_plant_that_begins_again_knows_nothing_of_the_voltage_before():
