@@ -180,6 +180,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
     from hysteresis_ros.designs.stage_feedforward import voltage_step_rows, voltage_steps, without_stage_feedforward
     from hysteresis_ros.designs.stage_frequency_response import command_responses, load_stage_response
+    from hysteresis_ros.designs.stage_stability import require_stable
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -208,6 +209,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
             raise ConfigurationError("nothing to design: give --controller NAME, --feedforward or --learning NAME")
         for line in stage_lines(parameters):
             click.echo(line)
+        require_stable(parameters, configuration.source)
         return
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
@@ -215,6 +217,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     if runs and (learns is None or learns.kind != COUPLED):
         raise ConfigurationError(f"--run belongs to --learning {COUPLED}; give both")
     if learns is not None:
+        require_stable(parameters, configuration.source)
         if learns.period is not None:
             raise ConfigurationError("the scan of a stage determines the period: omit --period")
         if learns.kind == COUPLED:
@@ -246,6 +249,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         designs = design_controllers(parameters, request, known, namespace or None)
         text = controllers_file(configuration, designs, f"--controller {request.controller}")
         designed = StageParameters.from_configuration(parse_configuration(text, "the designed file"))
+        require_stable(designed, configuration.source)
         if request.feedforward:
             text, fed = _with_feedforward(text, configuration.source, request.preview, None)
             lines = [*stage_lines(designed), *fed]
@@ -270,10 +274,13 @@ def _with_feedforward(text: str, source: str, preview: int | None, band: float |
         stage_feedforward_lines,
         voltage_steps,
     )
+    from hysteresis_ros.designs.stage_stability import require_stable
     from hysteresis_ros.loop.stage_parameters import StageParameters
 
     configuration = parse_configuration(text, source)
-    found = design_stage_feedforward(StageParameters.from_configuration(configuration), preview, band)
+    parameters = StageParameters.from_configuration(configuration)
+    require_stable(parameters, source)
+    found = design_stage_feedforward(parameters, preview, band)
     steps = voltage_steps(found.parameters)
     require_gentle_steps(steps)
     text = stage_feedforward_file(configuration, found, "--feedforward")

@@ -47,6 +47,8 @@ from hysteresis_ros.models.linear_algebra import product
 #: Uncertainty of the response of each axis, by its name; the model of an axis without an entry is taken as exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
+#: Entry of the table of a stage whose loops are unstable.
+UNSTABLE = "none: the loop is unstable"
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
@@ -79,11 +81,15 @@ def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
     for turns, response in zip(PRINTED, coupled, strict=True):
         others = response - np.diag(np.diag(response))
         row, column = np.unravel_index(int(np.argmax(others)), others.shape)
-        text = f"{100.0 * others[row, column]:.3g} % of {names[column]} in {names[row]}"
-        rows.append((f"coupling at {turns * rate:.4g} Hz", text if len(names) > 1 else "none"))
+        text = f"{100.0 * others[row, column]:.3g} % of {names[column]} in {names[row]}" if row != column else "none"
+        rows.append((f"coupling at {turns * rate:.4g} Hz", text if margins.together.alpha > 0.0 else UNSTABLE))
     for label, margin in [*zip(names, margins.loops, strict=True), ("all jointly", margins.together)]:
         text = f"{margin.gain_margin:.1f} dB, {margin.phase_margin:.0f} deg, at {margin.frequency:.4g} Hz"
-        rows.append((f"disk margin of {label}", text if margin.alpha > 0.0 else "none: the loop is unstable"))
+        if not margin.alpha > 0.0:
+            text = UNSTABLE
+        elif np.isinf(margin.gain_margin):
+            text = "infinite"
+        rows.append((f"disk margin of {label}", text))
     return rows
 
 

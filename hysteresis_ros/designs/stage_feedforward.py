@@ -30,7 +30,6 @@ import numpy as np
 
 from hysteresis_ros.configuration import STAGE, Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.coupling import static_decoupling
 from hysteresis_ros.control.feedforward import (
     LONGEST_PREVIEW,
     FeedforwardParameters,
@@ -39,12 +38,13 @@ from hysteresis_ros.control.feedforward import (
 )
 from hysteresis_ros.designs.controller import feedforward_text
 from hysteresis_ros.designs.setpoint_step import AFTER, MOST, SETTLING, overshoot_of, unlimited
+from hysteresis_ros.designs.stage_stability import gain_at_rest, right_decoupling
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
 from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_response import damped_response, stage_plant
+from hysteresis_ros.loop.stage_response import damped_response
 from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 from hysteresis_ros.references.waveforms import WaveformParameters
@@ -135,14 +135,12 @@ def _require_laws(parameters: StageParameters) -> None:
 
 def _require_decoupled(parameters: StageParameters) -> None:
     """Refuse a stage whose axes couple at rest."""
-    gain = np.reshape(stage_plant(parameters).dc_gain, (len(parameters.names), -1))
+    gain = gain_at_rest(parameters)
     share = np.abs(gain - np.diag(np.diag(gain))) / np.abs(np.diag(gain))
     if np.max(share) > AT_REST:
-        right = parameters.stage.matrix("decoupling") @ static_decoupling(gain)
-        numbers = ", ".join(f"{value:.6g}" for value in right.ravel())
         raise ConfigurationError(
             f"{parameters.namespace}/{STAGE}: decoupling: {100.0 * np.max(share):.3g} % of coupling remain at rest, "
-            f"allowed are {100.0 * AT_REST:g} %: give decoupling: [{numbers}]"
+            f"allowed are {100.0 * AT_REST:g} %: give {right_decoupling(parameters)}"
         )
 
 

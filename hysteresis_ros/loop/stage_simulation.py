@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -201,8 +202,8 @@ class CouplingError:
 
     @property
     def part(self) -> float:
-        """Largest motion as a fraction of the scanned displacement, peak to peak."""
-        return self.peak / self.scanned
+        """Largest motion as a fraction of the scanned displacement, peak to peak; infinite if nothing moved."""
+        return self.peak / self.scanned if self.scanned else math.inf
 
 
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:

@@ -287,6 +287,32 @@ def test_a_design_of_a_stage_prints_how_its_axes_interact():
     assert "follows no scan" in hysteresis("design", "xy_scanner", "--learning", "inversion", "-o", "a.yaml", code=2)
 
 
+def test_a_design_of_unstable_loops_states_the_remedy_and_ends_with_code_2(tmp_path):
+    path, designed = tmp_path / "unstable.yaml", tmp_path / "designed.yaml"
+    text = load_configuration("xy_scanner").text
+    right = re.search(r"decoupling: \[(.*)\]", text)[0]
+    path.write_text(text.replace(right, "decoupling: [-1.0, 0.0, 0.0, -1.0]"), encoding="utf-8")
+    for words in ((), ("--controller", "pid", "-o", designed), ("--feedforward", "-o", designed)):
+        said = hysteresis("design", path, *words, code=2)
+        assert "the loops of x, y together are unstable on the model of the stage" in said
+        assert not designed.exists()
+    said = hysteresis("design", path, code=2)
+    assert "disk margin of all jointly  none: the loop is unstable" in said, "the table is printed too"
+    assert "coupling at 10 Hz           none: the loop is unstable" in said
+    path.write_text(text.replace(right, re.search(r"decoupling: \[.*\]", said)[0]), encoding="utf-8")
+    assert "disk margin of all jointly  7.4 dB, 44 deg" in hysteresis("design", path)
+    # nothing that scans moves here; the stage is simulated in spite of that
+    path.write_text(text.replace(right, "decoupling: [-1.0, 0.0, 0.0, -1.0]"), encoding="utf-8")
+    assert "x scans 0 µm" in hysteresis("simulate", path, "-o", tmp_path / "run.npz")
+
+
+def test_a_stage_in_open_loop_has_infinite_margins_and_no_coupling(tmp_path):
+    path = tmp_path / "new.yaml"
+    hysteresis("new", path, "--axes", "x,y", "--stroke", "50um", "--voltage", "0:100V", "--rate", "5kHz")
+    said = hysteresis("design", path)
+    assert "disk margin of all jointly  infinite" in said and "coupling at 5 Hz            none\n" in said
+
+
 def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_scan_away(tmp_path):
     source, learns = tmp_path / "scan.yaml", tmp_path / "learns.yaml"
     text = load_configuration("xy_scanner").text

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +19,20 @@ import pytest
 import scipy.linalg
 from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, stage
 
-from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.coupled import decoupled, design_stage_learning, shortest_period, stage_lines
+from hysteresis_ros.designs.controller import DesignRequest
+from hysteresis_ros.designs.coupled import (
+    controllers_file,
+    decoupled,
+    design_controllers,
+    design_stage_learning,
+    shortest_period,
+    stage_lines,
+)
 from hysteresis_ros.designs.learning import LearningRequest
+from hysteresis_ros.designs.stage_stability import require_stable
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import scanned_paths, stage_loop, stage_response
@@ -187,3 +197,29 @@ def test_the_steering_mirror_keeps_six_decibels_in_all_loops_at_once():
     parameters = StageParameters.from_configuration(load_configuration("steering_mirror"))
     together = disk_margins(stage_loop(parameters), 1.0 / 6400.0).together
     assert together.gain_margin > 6.0
+
+
+def test_loops_that_are_unstable_together_are_refused_with_a_bandwidth_that_is_stable():
+    """The models of the axes of the mirror contain no modes, so its controllers can be designed far too fast."""
+    configuration = load_configuration("steering_mirror")
+    parameters = StageParameters.from_configuration(configuration)
+    require_stable(parameters, "mirror.yaml")
+
+    def designed(bandwidth=None) -> StageParameters:
+        designs = design_controllers(parameters, DesignRequest("pid", bandwidth=bandwidth), {})
+        text = controllers_file(configuration, designs, "")
+        return StageParameters.from_configuration(parse_configuration(text, "designed"))
+
+    with pytest.raises(ConfigurationError, match="s1, s2, s3 together are unstable.* at most 0.046 times") as refused:
+        require_stable(designed(), "mirror.yaml")
+    bandwidth = float(re.search(r"design mirror.yaml --controller pid --bandwidth (\S+)Hz", str(refused.value))[1])
+    slower = designed(bandwidth)
+    require_stable(slower, "mirror.yaml")
+    assert disk_margins(stage_loop(slower), 1.0 / 6400.0).together.gain_margin == pytest.approx(6.0, abs=1.0)
+
+
+def test_loops_with_another_gain_at_rest_are_refused_with_the_decoupling_that_they_need():
+    require_stable(stage(), "stage.yaml")
+    for wrong in ((0.9, 0.3, -0.2, -0.6), (5.0, 0.0, 0.0, 5.0), (0.0, 1.0, 1.0, 0.0)):
+        with pytest.raises(ConfigurationError, match=r"gain at rest differs .*: give decoupling: \[1.0016, -0.04"):
+            require_stable(stage(structure={"decoupling": wrong}), "turned.yaml")
