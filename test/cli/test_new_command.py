@@ -177,6 +177,7 @@ def test_several_axes_are_a_stage_in_open_loop_whose_manual_commands_stay_in_a_t
         assert axis.plant_simulator.joint == axis.namespace.strip("/")
         limits = axis.hysteresis_compensator.limits
         assert (limits.minimum, limits.maximum, limits.slew_rate) == (0.0, 10.0, 100.0)
+        assert axis.plant_simulator.limits == limits, "a stage is not driven farther than a single axis"
         assert axis.reference_generator.maximum == pytest.approx(0.1 * stroke)
         assert axis.hysteresis_compensator.hysteresis.proportional.gain == pytest.approx(stroke / 100.0)
     far = {

@@ -26,7 +26,7 @@ from hysteresis_ros.cli.commissioning.bench import Bench, OfflineBench, require_
 from hysteresis_ros.cli.commissioning.closed_loop import SCANNED
 from hysteresis_ros.cli.commissioning.coupled import DESIGNED, StageSituation, plans_of
 from hysteresis_ros.cli.commissioning.coupled_loops import Range, repeated, scan_size, steps
-from hysteresis_ros.cli.commissioning.coupled_measuring import identification_excitation, predicted_swings
+from hysteresis_ros.cli.commissioning.coupled_measuring import identification_excitation, noise_stage, predicted_swings
 from hysteresis_ros.cli.commissioning.coupled_stages import COUPLED_STAGES
 from hysteresis_ros.cli.commissioning.situation import (
     COMMISSIONED,
@@ -452,10 +452,46 @@ def test_loops_are_designed_for_the_noisiest_sensor_and_must_be_stable_together(
     (situation.folder.path / COMMISSIONED).write_bytes(kept)
 
 
-def test_a_plan_beyond_the_plants_is_refused(tmp_path):
+def test_a_plan_beyond_the_plants_replaces_their_limits(tmp_path):
+    """As for a single axis: limits of a new file are those of manual commands."""
     further = "\n/y/commissioning:\n  ros__parameters: {maximum: 120.0}\n"
-    with pytest.raises(ConfigurationError, match=r"axis y: maximum = 120 V of /commissioning is beyond limits.maximum"):
-        sitting(tmp_path, further=further)
+    situation = sitting(tmp_path, further=further)
+    x, y = (axis.plant_simulator.limits for axis in StageParameters.from_configuration(situation.within()).axes)
+    assert (x.maximum, x.slew_rate, y.maximum, y.slew_rate) == (100.0, 70000.0, 120.0, 0.0)
+
+
+def test_devices_have_the_whole_range_of_the_plan_before_any_movement(tmp_path):
+    """A device with a narrower range is refused then, as that of a single axis."""
+    (tmp_path / "mine.py").write_text(
+        "from hysteresis_ros.hardware.drivers.simulated import DRIVER\n", encoding="utf-8"
+    )
+    words = ["--axes", "x,y", "--stroke", "40um", "--voltage", "0:100V", "--rate", "1kHz", "--driver", "./mine.py"]
+    options = (
+        "hysteresis.type=proportional",
+        "hysteresis.proportional.gain=4e-7",
+        "limits.minimum=0",
+        "limits.maximum=100",
+    )
+    words += [word for option in options for word in ("--driver-option", option)]
+    path = tmp_path / "stage.yaml"
+    answer = CliRunner().invoke(main, ["new", str(path), *words])
+    assert answer.exit_code == 0, answer.output
+    configuration = load_configuration(path)
+    parameters = StageParameters.from_configuration(configuration)
+    folder = Folder(tmp_path / "kept", configuration.text, "graph", False)
+    situation = StageSituation(configuration, parameters, plans_of(configuration, parameters), folder, "auto", "pid")
+    for axis in noise_stage(situation).axes:
+        assert (axis.plant_simulator.limits.minimum, axis.plant_simulator.limits.maximum) == (0.0, 100.0)
+        assert axis.hysteresis_compensator.limits.maximum < 0.1
+
+
+def test_a_range_of_the_compensators_beyond_the_plants_is_no_plan(tmp_path):
+    configuration = load_configuration(written(tmp_path)).override("y/hysteresis_compensator", limits__maximum=120.0)
+    parameters = StageParameters.from_configuration(configuration)
+    with pytest.raises(ConfigurationError, match=r"axis y: limits.maximum = 120 V of its hysteresis_compensator is"):
+        plans_of(configuration, parameters)
+    asked = replace(configuration, entries=(*configuration.entries, ("/y/commissioning", {"maximum": 90.0})))
+    assert plans_of(asked, parameters)["y"].maximum == 90.0
 
 
 def test_what_repeats_is_told_from_noise():

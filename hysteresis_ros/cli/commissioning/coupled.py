@@ -30,6 +30,7 @@ from hysteresis_ros.cli.commissioning.situation import (
 from hysteresis_ros.configuration import STAGE, Configuration
 from hysteresis_ros.designs.stage_excitation import played_stage, scoped
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import reachable_displacements
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
@@ -42,23 +43,33 @@ DESIGNED = "designed.yaml"
 def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[str, Plan]:
     """Return the plan of each axis: the section for all axes, and that in the namespace of the axis.
 
-    By default the cycles are as fast as those of `hysteresis excite`.
+    By default the cycles are as fast as those of `hysteresis excite`. A range that the sections do not give must be
+    within the limits of the plant; one that they give replaces them, as for a single axis.
     """
     found = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         plan = plan_of(configuration, axis, cycle_frequency=min(parameters.sample_rate / 500.0, 100.0))
-        given = axis.plant_simulator.limits
+        limits = axis.plant_simulator.limits
+        sections = (SECTION, f"{axis.namespace}{SECTION}")
+        given = {key for section, values in configuration.entries if section in sections for key in values}
         for what, value, beyond in (
-            ("minimum", plan.minimum, plan.minimum < given.minimum),
-            ("maximum", plan.maximum, plan.maximum > given.maximum),
+            ("minimum", plan.minimum, plan.minimum < limits.minimum),
+            ("maximum", plan.maximum, plan.maximum > limits.maximum),
         ):
-            if beyond:
+            if beyond and what not in given:
                 raise ConfigurationError(
-                    f"{configuration.source}: axis {name}: {what} = {value:g} V of {SECTION} is beyond limits.{what} = "
-                    f"{getattr(given, what):g} V of its plant_simulator; narrow the plan"
+                    f"{configuration.source}: axis {name}: limits.{what} = {value:g} V of its hysteresis_compensator "
+                    f"is beyond limits.{what} = {getattr(limits, what):g} V of its plant_simulator: give {what} of "
+                    f"{sections[1]}"
                 )
         found[name] = plan
     return found
+
+
+def within_plant(plan: Plan, axis: AxisParameters) -> bool:
+    """Return whether a plan is within the limits of the plant; otherwise it replaces them."""
+    limits = axis.plant_simulator.limits
+    return limits.minimum <= plan.minimum and plan.maximum <= limits.maximum
 
 
 @dataclass
@@ -113,8 +124,8 @@ class StageSituation:
         entries: list[tuple[str, dict]] = []
         for name, axis in zip(self.names, self.parameters.axes, strict=True):
             plan, given = self.plans[name], axis.hysteresis_compensator
-            # a compensator of a new stage limits manual commands more than the amplifier does
-            slew = plan.amplifier or axis.plant_simulator.limits.slew_rate
+            # the limits of a new stage, which the plan exceeds, are those of manual commands
+            slew = plan.amplifier or (axis.plant_simulator.limits.slew_rate if within_plant(plan, axis) else 0.0)
             values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": slew}
             limits = replace(given.limits, minimum=plan.minimum, maximum=plan.maximum)
             narrowed = replace(axis, hysteresis_compensator=replace(given, limits=limits))

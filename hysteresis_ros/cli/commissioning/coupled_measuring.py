@@ -15,6 +15,8 @@ addition.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hysteresis_ros.analysis.commissioning_report import Picture, line
@@ -49,8 +51,14 @@ NOISY = 0.5
 
 
 def noise_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage at rest."""
-    return situation.driven("noise", situation.resting(max(plan.noise_duration for plan in situation.plans.values())))
+    """Return the stage at rest; devices have the whole range of the plans, so a narrower one is refused at once."""
+    stage = situation.driven("noise", situation.resting(max(plan.noise_duration for plan in situation.plans.values())))
+    axes = []
+    for axis, plan in zip(stage.axes, situation.plans.values(), strict=True):
+        plant = axis.plant_simulator
+        limits = replace(plant.limits, minimum=plan.minimum, maximum=plan.maximum) if plant.driver else plant.limits
+        axes.append(replace(axis, plant_simulator=replace(plant, limits=limits)))
+    return replace(stage, axes=tuple(axes))
 
 
 def judge_noise(situation: StageSituation, recording: Recording) -> Outcome:

@@ -44,7 +44,7 @@ $external
 /**/plant_simulator:                  # the device, or its simulation offline
   ros__parameters:
 $driver
-    limits: {minimum: $plant_low, maximum: $plant_high, slew_rate: $plant_slew}   # V, V, V/s: $plant_reason
+    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s: $reason
     safe_voltage: $safe               # V: output when commands stop, and at the end
     safe_slew_rate: $slew             # V/s
     hysteresis: {type: proportional, proportional: {gain: $gain}}   # m/V: ASSUMED, stroke over range
@@ -141,12 +141,8 @@ def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
     return ends
 
 
-def new_text(axis: NewAxis, *, coupled: bool = False) -> str:
-    """Return the text of the parameter file of a new axis.
-
-    The plant of an axis that is ``coupled`` has its whole range, within which the movements of `hysteresis commission`
-    must be; its compensator limits the manual commands.
-    """
+def new_text(axis: NewAxis) -> str:
+    """Return the text of the parameter file of a new axis."""
     if axis.external and axis.driver:
         raise ConfigurationError("--driver and --plant external exclude each other; give one of them")
     if axis.driver_options and not axis.driver:
@@ -166,13 +162,11 @@ def new_text(axis: NewAxis, *, coupled: bool = False) -> str:
         **{"nearest": gain * low, "farthest": gain * high, "start": gain * safe},
         **{"velocity": velocity, "acceleration": acceleration, "jerk": jerk},
         **{"minimum": axis.minimum, "maximum": axis.maximum, "stroke": axis.stroke},
-        **{"plant_low": axis.minimum if coupled else low, "plant_high": axis.maximum if coupled else high},
-        "plant_slew": 0.0 if coupled else slew,
     }
     text = _TEMPLATE.substitute(
         {name: _number(value) for name, value in numbers.items()},
         percent=f"{100.0 * FIRST_PART:g}",
-        plant_reason="of the amplifier, 0: not limited; below, those of manual commands" if coupled else first.reason,
+        reason=first.reason,
         ramp=f"{4.0 * velocity / acceleration:.{DIGITS}g}",
         joint=_scalar(axis.joint),
         external="    external_plant: true              # your own node publishes joint_states\n"
@@ -197,7 +191,7 @@ def new_stage_text(axes: Mapping[str, NewAxis]) -> str:
         step=_number(1.0 / rate),
     )
     for name, axis in axes.items():
-        own = new_text(axis, coupled=True)
+        own = new_text(axis)
         own = own[own.index("/**/plant_simulator") :].replace("/**/", f"/{name}/")
         joint = f"    joint: {json.dumps(name)}                        # name in joint_states"
         text += f"\n/{name}/**:\n  ros__parameters:\n{joint}\n\n"
