@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, Quantity
+from hysteresis_ros.cli.options import ConfigurationName, Quantity, scan_options
 from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.control.controller import DESIGNS
 from hysteresis_ros.control.damping import inner_loop as damping
@@ -89,9 +89,10 @@ from hysteresis_ros.designs.learning_filters import KINDS
     type=click.Path(path_type=pathlib.Path),
     help="NPZ of `hysteresis frf`: design for the measured response, and compute the margins from it.",
 )
+@scan_options
 @click.option("--namespace", default="", help="Axis to use, if the configuration describes several.")
 @click.option("-o", "--output", help="Parameter file to write.")
-def design(config, namespace, output, response, runs, **options):
+def design(config, namespace, output, response, runs, scan, values, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; the plant's model is never used).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning it
@@ -101,6 +102,8 @@ def design(config, namespace, output, response, runs, **options):
     With --feedforward it adds the inverse of the coupled dynamics, to the designed or to the present controllers. With
     --learning it designs learning for the period of the scan of the stage, starting with the corrections for which the
     coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
+    --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan raster width=20um
+    depth=20um -o learns.yaml`; the written file follows it.
     Without --controller, --feedforward and --learning it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
@@ -123,9 +126,18 @@ def design(config, namespace, output, response, runs, **options):
     from hysteresis_ros.loop.reach import single_axis
 
     configuration = load_configuration(config)
+    if values and scan is None:
+        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
     if configuration.stage is not None:
+        if scan is not None:
+            configuration = _scanning(configuration, scan, values, options)
         _design_stage(configuration, namespace, output, response, runs, options)
         return
+    if scan is not None:
+        raise ConfigurationError(
+            f"--scan {scan} is for a stage, and {configuration.source} describes a single axis: omit it; a single axis "
+            "learns the period of its waveform (--period)"
+        )
     if runs or options["learning"] == COUPLED:
         raise ConfigurationError(
             f"--learning {COUPLED} and --run are for a stage, and {configuration.source} describes a single axis: give "
@@ -262,6 +274,22 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         click.echo("\n".join([f"axis {name}", *design_lines(design), *further, ""]))
     click.echo("\n".join(["stage", *lines]))
     click.echo(f"{output}: written, type {request.controller}")
+
+
+def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
+    """Return the configuration whose file has the scan, for which learning is designed."""
+    from hysteresis_ros.designs.coupled import with_written_scan
+    from hysteresis_ros.designs.trials import FEWEST
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+    from hysteresis_ros.loop.stage_response import check_scan
+
+    if not options["learning"]:
+        raise ConfigurationError(f"--scan {scan} belongs to --learning; give both")
+    periods = FEWEST if options["learning"] == COUPLED else 0
+    configuration = with_written_scan(configuration, scan, values, periods)
+    check_scan(StageParameters.from_configuration(configuration))
+    return configuration
 
 
 def _with_feedforward(text: str, source: str, preview: int | None, band: float | None) -> tuple[str, list[str]]:

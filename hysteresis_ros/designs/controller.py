@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import yaml
 
-from hysteresis_ros.configuration import Configuration, dump_configuration, matches, parse_configuration
+from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, matches, parse_configuration
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, design_of
 from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
@@ -96,6 +96,12 @@ def feedforward_text(configuration: Configuration, values: dict, namespace: str,
         return {name: value for name, value in before.items() if not name.startswith("feedforward.")} | chosen
 
     return _text(configuration, changed, namespace, header, FEEDFORWARD, node)
+
+
+def scan_text(configuration: Configuration, chosen: dict, namespace: str) -> str:
+    """Return the text of the file of a stage that follows another scan; everything else stays."""
+    chosen = {f"scan.{name}": value for name, value in chosen.items()}
+    return _text(configuration, lambda before: before | chosen, namespace, "", (), STAGE)
 
 
 def _text(

@@ -19,7 +19,7 @@ errors that the model does not predict.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ from hysteresis_ros.designs.controller import (
     design_text,
     learning_text,
     response_uncertainty,
+    scan_text,
 )
 from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
 from hysteresis_ros.errors import ConfigurationError
@@ -91,6 +92,21 @@ def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
             text = "infinite"
         rows.append((f"disk margin of {label}", text))
     return rows
+
+
+def with_written_scan(
+    configuration: Configuration, kind: str, values: Sequence[str], periods: int = 0
+) -> Configuration:
+    """Return the configuration of a stage whose text has another scan, with parameters as texts ``NAME=VALUE``.
+
+    It has at least ``periods``, or those of the file.
+    """
+    chosen: dict = {"kind": kind, "values": tuple(values)}
+    own = StageParameters.from_configuration(configuration).stage.scan.periods
+    if 0 < own < periods:
+        chosen["periods"] = periods
+    text = scan_text(configuration, chosen, str(configuration.stage))
+    return parse_configuration(text, configuration.source)
 
 
 def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:

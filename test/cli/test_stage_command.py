@@ -18,6 +18,7 @@ import sys
 
 import numpy as np
 import pytest
+import yaml
 
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
@@ -311,6 +312,49 @@ def test_a_stage_in_open_loop_has_infinite_margins_and_no_coupling(tmp_path):
     hysteresis("new", path, "--axes", "x,y", "--stroke", "50um", "--voltage", "0:100V", "--rate", "5kHz")
     said = hysteresis("design", path)
     assert "disk margin of all jointly  infinite" in said and "coupling at 5 Hz            none\n" in said
+
+
+PATH = ("width=16um", "depth=8um", "lines=5", "frame_rate=10Hz")
+
+
+def test_a_scan_of_the_command_line_is_learned_as_one_of_the_file(tmp_path):
+    source, learns, asked = tmp_path / "scan.yaml", tmp_path / "learns.yaml", tmp_path / "asked.yaml"
+    text = load_configuration("xy_scanner").text
+    scan = f"    scan:\n      kind: lissajous\n      values: [{', '.join(PATH)}]\n"
+    source.write_text(text.replace("    decoupling: [1.0016", f"{scan}    decoupling: [1.0016"), encoding="utf-8")
+    hysteresis("design", source, "--learning", "inversion", "-o", learns)
+    hysteresis("design", "xy_scanner", "--learning", "inversion", "--scan", "lissajous", *PATH, "-o", asked)
+    own, other = (StageParameters.from_configuration(load_configuration(path)) for path in (learns, asked))
+    assert other.stage.scan == own.stage.scan and other.stage.scan.values == PATH
+    for name in "xy":
+        found, wanted = (
+            np.array(
+                yaml.safe_load((tmp_path / f"{stem}_{name}.yaml").read_text(encoding="utf-8"))["learned_correction"][
+                    "correction"
+                ]
+            )
+            for stem in ("asked", "learns")
+        )
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-15)
+    # runs from which the axes learn together need three periods, and the file has two
+    together = tmp_path / "together.yaml"
+    hysteresis("design", "xy_scanner", "--learning", "coupled", "--scan", "lissajous", *PATH, "-o", together)
+    assert StageParameters.from_configuration(load_configuration(together)).stage.scan.periods == 3
+
+
+@pytest.mark.parametrize(
+    ("config", "words", "message"),
+    [
+        ("xy_scanner", ("--scan", "raster", *PATH), "--scan raster belongs to --learning; give both"),
+        ("xy_scanner", ("--learning", "inversion", *PATH), "width=16um belongs to a scan: choose a scan"),
+        ("xy_scanner", ("--learning", "inversion", "--scan", "rastr", *PATH), "did you mean raster"),
+        ("xy_scanner", ("--learning", "inversion", "--scan", "raster", "width=90um", "depth=9um"), "exceeds the range"),
+        ("kim2009", ("--learning", "inversion", "--scan", "raster", *PATH), "learns the period of its waveform"),
+    ],
+)
+def test_a_scan_that_cannot_be_learned_is_refused(config, words, message, tmp_path):
+    assert message in hysteresis("design", config, *words, "-o", tmp_path / "never.yaml", code=2)
+    assert not list(tmp_path.iterdir())
 
 
 def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_scan_away(tmp_path):
