@@ -103,6 +103,14 @@ def test_a_source_that_cannot_move_says_why_and_what_to_do(state, words):
     assert words in said and bool(words) == bool(said)
 
 
+def test_a_setpoint_without_a_namespace_is_not_awaited_where_axes_have_namespaces(axis):
+    with (
+        Client(timeout=60.0, context=axis.context) as unnamed,
+        pytest.raises(HysteresisError, match="no axis is chosen, and there are /left: give --namespace /left"),
+    ):
+        setpoint(unnamed, 1e-6)
+
+
 def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
     with Client("right", timeout=SHORT, context=axis.context) as nobody:
         with pytest.raises(AbsentError, match="no /right/reference_generator or .* within 0.3 s; .*/left/"):

@@ -581,6 +581,8 @@ def _source(client: Client) -> str:
         return [name for name in client.nodes() if name in wanted]
 
     if client.timeout > PATIENCE and not client.until(there, PATIENCE):
+        if not client.namespace:
+            _require_one_axis(client)
         print(f"waiting for {' or '.join(wanted)} …", file=sys.stderr, flush=True)
     found = client.until(there)
     if found:
@@ -589,6 +591,13 @@ def _source(client: Client) -> str:
     others = sorted({named(one) for one in client.node.get_subscriptions_info_by_topic(topic)})
     heard = f"; {', '.join(others)} on {topic} does not answer setpoints" if others else ""
     raise AbsentError(f"no {' or '.join(wanted)} within {client.timeout:g} s{heard}; {client.who_is_there()}")
+
+
+def _require_one_axis(client: Client) -> None:
+    """Refuse to wait for an axis without a namespace while other axes run, such as those of a stage."""
+    spaces = sorted({space for space, _, name in (one.rpartition("/") for one in client.nodes()) if name in SOURCES})
+    if spaces:
+        raise HysteresisError(f"no axis is chosen, and there are {', '.join(spaces)}: give --namespace {spaces[0]}")
 
 
 def _require_active(client: Client, source: str) -> None:
