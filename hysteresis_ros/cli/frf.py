@@ -259,11 +259,20 @@ def _of_configuration(source, namespace, options: dict):
         words = f"{plan.kind} at the {plan.at}, {samples / rate:.4g} s at {rate:g} Hz"
         click.echo(f"{words} …", err=True)
         stack.enter_context(Progress(err=True).during(words))
-        run = require_sound(bench.run(axis), samples)
+        run = require_sound(_said_late(bench.run(axis)), samples)
         if kept:
             save_run(run, kept)
         own = single_axis(configuration, namespace)
         return axis_response(run, plan, own)
+
+
+def _said_late(run):
+    """Return the run of a bench; print a line if voltages were late in it."""
+    from hysteresis_ros.cli.commissioning.bench import held_back
+
+    for line in held_back(run, "counts as noise or distortion"):
+        click.echo(line, err=True)
+    return run
 
 
 def _of_stage(configuration, namespace, options: dict):
@@ -293,7 +302,7 @@ def _of_stage(configuration, namespace, options: dict):
         words = f"{found.words}: {found.duration:.4g} s at {found.stage.sample_rate:g} Hz"
         click.echo(f"{words} …", err=True)
         with Progress(err=True).during("measuring the response matrix"):
-            run = require_sound(bench.run(found.stage), run_samples(found.stage))
+            run = require_sound(_said_late(bench.run(found.stage)), run_samples(found.stage))
         if kept:
             save_run(run, kept)
             write_samples(plan_file(kept), found.voltages[:, 0], found.stage.sample_rate, plan=plan.text)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hysteresis_ros.cli.commissioning.bench import OfflineBench
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.designs.stage_frequency_response import (
@@ -175,6 +176,21 @@ def test_options_of_a_single_axis_are_refused(written):
     assert "omit it" in command("frf", "xy_scanner", "--offset", "0.4", code=2).stderr
     assert "without a unit" in command("frf", "xy_scanner", "--offline", "--amplitude", "2V", code=2).stderr
     assert "omit --namespace" in command("frf", "xy_scanner", "--namespace", "x", code=2).stderr
+
+
+def test_samples_for_which_the_machine_was_too_busy_are_told(monkeypatch):
+    whole = OfflineBench.run
+
+    def busy(self, stage):
+        run = whole(self, stage)
+        late = np.minimum(np.arange(len(run)), 7.0)
+        return Recording(run.time, run.signals | {f"{axis}/late": late for axis in "xy"}, run.units, run.metadata)
+
+    words = ("frf", "xy_scanner", "--offline", "--realisations", "2", "--periods", "1")
+    assert "too busy" not in command(*words).stderr
+    monkeypatch.setattr(OfflineBench, "run", busy)
+    said = command(*words).stderr
+    assert "this machine was too busy for 7 of 28000 samples: " in said and "counts as noise or distortion" in said
 
 
 def test_commands_of_a_single_axis_refuse_the_matrix(written, tmp_path):

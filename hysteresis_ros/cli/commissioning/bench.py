@@ -119,7 +119,7 @@ def _complete(recording: Recording, samples: int) -> Recording:
     return Recording(time, signals, {}, recording.metadata)
 
 
-def held_back(recording: Recording) -> list[str]:
+def held_back(recording: Recording, effect: str = "increases the error during motion") -> list[str]:
     """Return a line if voltages were late, otherwise nothing; the axes of a stage are late together."""
     if recording.axes:
         recording = recording.axis(recording.axes[0])
@@ -128,7 +128,7 @@ def held_back(recording: Recording) -> list[str]:
         return []
     return [
         f"this machine was too busy for {count} of {len(recording)} samples: the previous voltage "
-        "was held in them, which increases the error during motion"
+        f"was held in them, which {effect}"
     ]
 
 
