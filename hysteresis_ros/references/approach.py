@@ -91,6 +91,12 @@ class ApproachParameters(Parameters):
         "a feedforward that inverts the dynamics",
         read_only=True,
     )
+    from_rest: bool = parameter(
+        False,
+        description="true: the reference begins where the axis rests, at 0 m or at the closest end of the range, and the "
+        "motion to the initial setpoint keeps these limits; false: it begins at the initial setpoint",
+        read_only=True,
+    )
     start_time: float = parameter(
         0.1,
         description="time in which the reference returns to the setpoint after a start, if the approach is unlimited",

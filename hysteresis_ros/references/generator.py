@@ -424,7 +424,11 @@ class ReferenceGenerator(Chain):
         return self.waveform.kernel(self.waveform.p, np.zeros(1), 0.0)
 
     def reset(self) -> None:
-        """Return to the state at construction: at rest at the initial setpoint, waveform at its beginning."""
+        """Return to the state at construction: waveform at its beginning, at rest at the initial setpoint.
+
+        With ``approach.from_rest`` the motion to the initial setpoint begins at 0 m, or at the end of the range that is
+        closest to it.
+        """
         self._begun = math.nan
         self.approach.reset()
         self.shaper.rest_at(self.parameters.initial_setpoint)
@@ -436,8 +440,11 @@ class ReferenceGenerator(Chain):
         self._steps.rest_at(0.0)
         waveform = 0.0 if self._range[0][SMOOTHED] else self._first_value()
         first = self.parameters.initial_setpoint + waveform
-        output = min(max(first, self.parameters.minimum), self.parameters.maximum)
-        self._range[1][:] = (WHOLE, output, 0.0, 0.0)
+        low, high = self.parameters.minimum, self.parameters.maximum
+        self._range[1][:] = (WHOLE, min(max(first, low), high), 0.0, 0.0)
+        if self.parameters.approach.from_rest:
+            self._range[1][OUTPUT] = min(max(0.0, low), high)
+            interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def retune(self, parameters: ReferenceParameters) -> None:
         """Change the waveform while the generator is stopped, or the shaping while the reference is constant.

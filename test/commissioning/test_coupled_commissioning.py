@@ -41,6 +41,7 @@ from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Entries of the plan that make a commissioning short.
@@ -208,6 +209,13 @@ def test_the_file_has_the_plants_of_the_stage_and_all_limits(done):
         assert not own.reference_generator.approach.unlimited
         assert own.reference_generator.approach.maximum_velocity < 0.05
         assert own.motion_controller.type == "pid" and own.motion_controller.damping.type == "irc"
+    # to the middle of the ranges, 26 µm, it moves as to a setpoint; a jump would be 7 V per sample, the slew rate
+    run = simulate_stage(found.with_duration(0.05))
+    for name in "xy":
+        place = run[f"{name}/reference"][-1]
+        assert place > 20e-6 and run[f"{name}/reference"][0] < 4e-6
+        assert np.max(run[f"{name}/displacement"]) < 1.1 * place
+        assert np.max(np.abs(np.diff(run[f"{name}/plant_voltage"]))) < 3.0
     predicting = StageParameters.from_configuration(load_configuration(situation.folder.path / DESIGNED))
     assert predicting.stage.structure != given.stage.structure, "runs are predicted by what was identified"
 

@@ -49,6 +49,30 @@ def test_steps_and_compiled_loop_are_equal_bit_for_bit():
     assert np.array_equal(a.state, b.state)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "begins", "waveform"),
+    [
+        (-1e-5, 3e-5, 0.0, {}),
+        (-1e-5, 3e-5, 0.0, SINE | {"waveform.offset": 0.0}),
+        (2e-6, 3e-5, 2e-6, {}),
+        (-3e-5, -4e-6, -4e-6, {}),
+    ],
+)
+def test_from_rest_the_way_to_the_initial_setpoint_keeps_the_limits(low, high, begins, waveform):
+    """The way is the reference without the waveform; at its end it is the initial setpoint itself."""
+    there = 0.5 * (low + high)
+    given = LIMITED | waveform | {"minimum": low, "maximum": high, "initial_setpoint": there}
+    jumps, found = (build(given, **{"approach.from_rest": rest}) for rest in (False, True))
+    way = found.simulate(np.full(1000, there)) - (jumps.simulate(np.full(1000, there)) - there)
+    assert way[0] == pytest.approx(begins, abs=1e-4 * TS) and way[-1] == pytest.approx(there, abs=1e-18)
+    velocity = np.diff(np.concatenate([[begins], way])) / TS
+    assert np.max(np.abs(velocity)) <= 1e-4 * (1.0 + 1e-6) and np.max(np.abs(np.diff(velocity))) <= 1e-2 * TS * 1.001
+    once = found.simulate(np.full(20, there))
+    found.reset()
+    again = found.simulate(np.full(1000, there))
+    assert once[0] == pytest.approx(jumps.simulate([there])[0]) and again[0] == pytest.approx(begins, abs=1e-4 * TS)
+
+
 @pytest.mark.parametrize("shape", ["steps", "square", "staircase"])
 def test_with_approach_steps_a_waveform_keeps_the_limits_and_arrives(shape):
     levels = {"waveform.steps.values": [2e-6, 9e-6, 4e-6], "waveform.steps.times": [0.0, 0.3, 0.7]}

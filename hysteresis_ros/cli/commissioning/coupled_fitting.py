@@ -135,9 +135,11 @@ def closed_configuration(situation: StageSituation, watched: bool = True) -> Con
     designed = load_configuration(situation.folder.path / DESIGNED)
     into = situation.within()
     if not watched:
-        own = [(f"{axis.namespace}/plant_simulator", axis.plant_simulator.overtravel) for axis in _axes(situation)]
-        entries = tuple((name, {"overtravel": value}) for name, value in own)
-        into = replace(into, entries=(*into.entries, *entries))
+        own: list[tuple[str, dict]] = []
+        for axis in _axes(situation):
+            own.append((f"{axis.namespace}/plant_simulator", {"overtravel": axis.plant_simulator.overtravel}))
+            own.append((f"{axis.namespace}/reference_generator", {"approach.from_rest": True}))
+        into = replace(into, entries=(*into.entries, *own))
     text = put_into(into, designed, StageParameters.from_configuration(designed))
     return parse_configuration(text, "the commissioned stage")
 
