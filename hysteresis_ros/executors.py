@@ -17,6 +17,8 @@ error is raised when no worker is left or the scheduler no longer answers.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import importlib
 import itertools
 import logging
 import multiprocessing
@@ -113,6 +115,54 @@ class InProcess(Executor):
 
 #: Environment variables for the threads of linear algebra: one per process, because the processes share the cores.
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+#: Modules that are linked with a BLAS, and names of OpenBLAS' functions in the builds of NumPy, SciPy and Linux
+#: distributions: without and with a prefix, for integers of 32 and 64 bits.
+LINKED = ("numpy.linalg._umath_linalg", "scipy.linalg._fblas")
+OPENBLAS = tuple(f"{prefix}openblas_%s_num_threads{suffix}" for prefix in ("scipy_", "") for suffix in ("64_", ""))
+_threads_lock = threading.Lock()
+_threads_users = 0
+_threads_before: list[tuple[Any, int]] = []
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute linear algebra in one thread of this process; the number of threads before is restored at the end.
+
+    Small arrays gain nothing from several threads of OpenBLAS, which wait for each other in a loop. A variable of
+    :data:`THREADS` in the environment, or another BLAS, leaves the number unchanged.
+    """
+    global _threads_users
+    if any(os.environ.get(name) for name in THREADS):
+        yield
+        return
+    with _threads_lock:
+        if _threads_users == 0:
+            _threads_before[:] = [(set_number, get_number()) for get_number, set_number in _blas_threads()]
+            for set_number, _ in _threads_before:
+                set_number(1)
+        _threads_users += 1
+    try:
+        yield
+    finally:
+        with _threads_lock:
+            _threads_users -= 1
+            if _threads_users == 0:
+                for set_number, number in _threads_before:
+                    set_number(number)
+
+
+def _blas_threads() -> list[tuple[Any, Any]]:
+    """Return, for each OpenBLAS of NumPy and SciPy, the functions that get and set its number of threads."""
+    found = []
+    for name in LINKED:
+        with contextlib.suppress(ImportError, OSError):
+            library = ctypes.CDLL(importlib.import_module(name).__file__)
+            for words in OPENBLAS:
+                if hasattr(library, words % "set") and hasattr(library, words % "get"):
+                    found.append((getattr(library, words % "get"), getattr(library, words % "set")))
+    return found
 
 
 class Processes(Executor):

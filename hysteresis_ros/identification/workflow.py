@@ -24,6 +24,7 @@ import scipy
 
 from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
+from hysteresis_ros.executors import one_thread
 from hysteresis_ros.identification import registry
 from hysteresis_ros.identification.data import IdentificationData, clipped_samples
 from hysteresis_ros.identification.dynamics import modes_at_bounds, with_fast_dynamics
@@ -361,7 +362,7 @@ def identify(
     given = _checked(conditions)
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
-    with shown_in(reading.data.input_unit, reading.data.output_unit):
+    with shown_in(reading.data.input_unit, reading.data.output_unit), one_thread():
         return _identified(
             reading, model, given, linear=linear, chosen=chosen, inverse=inverse, fast=fast, progress=progress
         )
