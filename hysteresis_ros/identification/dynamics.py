@@ -43,6 +43,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
 from hysteresis_ros.identification.arx import ArxOrders, fit_arx, suggest_arx_orders
@@ -166,6 +167,10 @@ DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
+#: Relative step of the derivatives: the square root of the machine precision.
+SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
+#: Number of modes whose responses a search keeps.
+KEPT_COLUMNS = 16
 #: Least number of cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
 #: Smallest model error, as a fraction of the movement at neighbouring frequencies, because the window leaks that much.
@@ -215,25 +220,23 @@ def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray,
 def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
     """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
 
-    They are sampled just before the input changes. Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
+    They are sampled just before the input changes. ``frequency`` [Hz] and ``damping`` may be arrays, shape (K, 1); the
+    result then has the shape (K, n, 2). Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
     back, shift, part = _shifted(frequencies, sample_time, delay)
     omega = 2.0 * np.pi * frequency
-    pole = omega * complex(-damping, np.sqrt(1.0 - damping**2))
+    pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
     late = np.expm1(pole * (1.0 - part) * sample_time) / pole
     early = np.expm1(pole * sample_time) / pole - late
     decay = np.exp(pole * sample_time)
     # 1/(s - p) becomes (late + early/z)/(z - decay); the difference to its conjugate has real coefficients
-    numerator = np.array([late, early - late * decay.conjugate(), -early * decay.conjugate()])
-    denominator = 1.0 + back * (-2.0 * decay.real + abs(decay) ** 2 * back)
-    shift = shift / (denominator * pole.imag)
-    found = np.empty((len(back), 2), dtype=complex)
-    for column, factor, (n0, n1, n2) in (
-        (0, omega**2, numerator.imag),
-        (1, omega, (pole * numerator).imag),
-    ):
-        found[:, column] = factor * shift * (n0 + back * (n1 + n2 * back))
-    return found
+    numerator = late, early - late * decay.conjugate(), -early * decay.conjugate()
+    shift = shift / (1.0 + back * (-2.0 * decay.real + abs(decay) ** 2 * back))
+    found = np.empty((2, *shift.shape), dtype=complex)
+    for column, turn in enumerate((omega**2 / pole.imag, omega * pole / pole.imag)):
+        n0, n1, n2 = ((turn * one).imag for one in numerator)
+        found[column] = shift * (n0 + back * (n1 + n2 * back))
+    return found.transpose(*range(1, found.ndim), 0)
 
 
 def _lag_column(lag, frequencies, sample_time, delay):
@@ -246,10 +249,22 @@ def _lag_column(lag, frequencies, sample_time, delay):
     return shift * (late + early * back) / (1.0 - np.exp(-sample_time / lag) * back)
 
 
+def _least_squares(table, target) -> np.ndarray:
+    """Return the real coefficients of complex columns, shape (k,), or (k, m) for several targets."""
+    turned = table.conj().T
+    gram = (turned @ table).real
+    size = np.sqrt(gram.diagonal())
+    size[size == 0.0] = 1.0
+    gram /= size[:, None] * size
+    gram.flat[:: len(size) + 1] += 1e-12
+    size = size if target.ndim == 1 else size[:, None]
+    return scipy.linalg.lapack.dposv(gram, (turned @ target).real / size)[1] / size
+
+
 class ModalSearch:
     """Searches on one set of spectra."""
 
-    def __init__(self, spectra: SegmentSpectra):
+    def __init__(self, spectra: SegmentSpectra, variance=None):
         self.spectra = spectra
         self.f, self.T = spectra.frequencies, spectra.sample_time
         longest = LONGEST / spectra.resolution
@@ -259,7 +274,11 @@ class ModalSearch:
         whole = spectra.input.sum(axis=0)
         self.estimate = spectra.cross.sum(axis=0) / np.maximum(whole, np.finfo(float).tiny)
         self.power = whole
-        self.weigh(np.abs(self.estimate))
+        self.cached: dict[tuple[float, float, float], np.ndarray] = {}
+        if variance is None:
+            self.weigh(np.abs(self.estimate))
+        else:
+            self._set(variance)
 
     def weigh(self, response) -> None:
         """Weight the frequencies of all further fits by the residual noise of a response."""
@@ -271,6 +290,7 @@ class ModalSearch:
         """Weight the frequencies of all further fits by a variance."""
         self.variance, self.weight = variance, np.sqrt(self.power / variance)
         self.target = self.weight * self.estimate
+        self.without = functools.lru_cache(self._without)
 
     def cost(self, response) -> float:
         """Return twice the negative log-likelihood, up to a constant."""
@@ -281,14 +301,12 @@ class ModalSearch:
         """Factor by which sums over folds and frequencies count as independent samples."""
         return self.spectra.samples / self.spectra.input.size
 
-    def without(self, fold: int) -> ModalSearch:
+    def _without(self, fold: int) -> ModalSearch:
         """Return a search on the other folds, with the weights of the present search."""
         spectra = self.spectra
         kept = np.arange(len(spectra.input)) != fold
         sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
-        other = ModalSearch(replace(spectra, **sums))
-        other._set(self.variance)
-        return other
+        return ModalSearch(replace(spectra, **sums), self.variance)
 
     def unpack(self, structure: ModalStructure, values):
         """Return lag, delay [s], and pairs (frequency [Hz], damping)."""
@@ -319,36 +337,81 @@ class ModalSearch:
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
         """Return the columns that the response is linear in, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
+        late = _lag_column(lag, self.f, self.T, delay)
+        both = [self.mode_columns(frequency, damping, delay) for frequency, damping in pairs]
         if structure.series:
-            return part_response(LinearPart(lag=lag, delay=delay, modes=in_series(lag, pairs), hold=self.T), self.f)[
-                :, None
-            ]
-        found = [_lag_column(lag, self.f, self.T, delay)[:, None]]
-        found += [mode_columns(pair[0], pair[1], self.f, self.T, delay) for pair in pairs]
-        return np.concatenate(found, axis=1)
+            modes = in_series(lag, pairs)
+            found = (1.0 - sum(mode.position for mode in modes)) * late
+            for mode, own in zip(modes, both, strict=True):
+                found = found + (mode.position * own[:, 0] + mode.velocity * own[:, 1])
+            return found[:, None]
+        return np.concatenate([late[:, None], *both], axis=1)
+
+    def mode_columns(self, frequency: float, damping: float, delay: float) -> np.ndarray:
+        """Return :func:`mode_columns`, shape (n, 2); the last ones are kept, as derivatives change one mode at a time.
+
+        Units: ``frequency`` [Hz], ``delay`` [s].
+        """
+        place = frequency, damping, delay
+        if place not in self.cached:
+            if len(self.cached) >= KEPT_COLUMNS:
+                del self.cached[next(iter(self.cached))]
+            self.cached[place] = mode_columns(frequency, damping, self.f, self.T, delay)
+        return self.cached[place]
 
     def solve(self, columns):
         """Return the coefficients of the columns and the weighted residual, real and imaginary parts."""
         table = self.weight[:, None] * columns
-        turned = table.conj().T
-        gram = (turned @ table).real
-        size = np.sqrt(gram.diagonal())
-        size[size == 0.0] = 1.0
-        gram = gram / (size[:, None] * size) + 1e-12 * np.eye(len(size))
-        coefficients = np.linalg.solve(gram, (turned @ self.target).real / size) / size
+        coefficients = _least_squares(table, self.target)
         return coefficients, (table @ coefficients - self.target).view(float)
+
+    def costs_with(self, columns, pairs) -> np.ndarray:
+        """Return the squared residual with each of K pairs of columns, shape (K, n, 2), in addition, shape (K,)."""
+        table = self.weight[:, None] * columns
+        rest = self.target - table @ _least_squares(table, self.target)
+        flat = self.weight[:, None] * np.moveaxis(pairs, 0, 1).reshape(len(self.f), -1)
+        flat -= table @ _least_squares(table, flat)
+        a, b = flat.T.reshape(-1, 2, len(self.f)).swapaxes(0, 1)
+        # the normal equations of the two columns of each pair, solved in closed form
+        aa, bb, ab = (np.einsum("kn,kn->k", p.conj(), q).real for p, q in ((a, a), (b, b), (a, b)))
+        at, bt = (a.conj() @ rest).real, (b.conj() @ rest).real
+        left = np.maximum(aa * bb - ab**2, 1e-12 * np.maximum(aa * bb, np.finfo(float).tiny))
+        return np.sum(np.abs(rest) ** 2) - (bb * at**2 - 2.0 * ab * at * bt + aa * bt**2) / left
 
     def fit(self, structure: ModalStructure, starts, evaluations: int = MOST_EVALUATIONS) -> ModalTrial:
         """Return the best trial of a structure from several starts."""
         from scipy.optimize import least_squares  # imported here because only fits need it
+
+        latest: tuple[Any, Any] = None, None
+
+        def residual(values):
+            return self.solve(self.columns(structure, values))[1]
+
+        def noted(values):
+            nonlocal latest
+            latest = values.copy(), residual(values)
+            return latest[1]
+
+        def slopes(values):
+            # as scipy does, without its checks, which take longer than the residuals
+            here = latest[1] if np.array_equal(values, latest[0]) else residual(values)
+            found = np.empty((here.size, values.size))
+            steps = np.where(values < 0.0, -SMALL_STEP, SMALL_STEP) * np.maximum(np.abs(values), 1.0)
+            steps = np.where((values + steps < low) | (values + steps > high), -steps, steps)
+            for k, step in enumerate(steps):
+                other = values.copy()
+                other[k] += step
+                found[:, k] = (residual(other) - here) / (other[k] - values[k])
+            return found
 
         low, high = self.bounds(structure)
         best = (np.inf, np.zeros(0))
         for start in starts if len(low) else ():
             inside = np.clip(start, low + 1e-6, high - 1e-6)
             found = least_squares(
-                lambda values: self.solve(self.columns(structure, values))[1],
+                noted,
                 inside,
+                jac=slopes,
                 bounds=(low, high),
                 x_scale=np.maximum(0.1 * (np.abs(inside) > 0), 0.1),
                 xtol=1e-6,
@@ -402,6 +465,8 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
 
 #: Number of initial frequencies of a mode, its initial damping ratios, and number of the best starts that are refined.
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
+#: Number of initial frequencies whose columns are computed together.
+TRIED_TOGETHER = 20
 #: Largest number of structures with an equal number of modes that are compared on held-out segments.
 JUDGED = 3
 #: Number of evaluations after which the structures are compared for the first time, and number of those continued.
@@ -516,10 +581,11 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
     columns = search.columns(trial.structure, trial.values)
     low, high = search.mode_range
     found = []
-    for place in itertools.product(np.geomspace(1.05 * low, 0.95 * high, TRIED_FREQUENCIES), TRIED_DAMPINGS):
-        extra = mode_columns(*place, search.f, search.T, delay)
-        residual = search.solve(np.concatenate([columns, extra], axis=1))[1]
-        found.append((float(residual @ residual), place))
+    tried = np.geomspace(1.05 * low, 0.95 * high, TRIED_FREQUENCIES)
+    for damping, some in itertools.product(TRIED_DAMPINGS, np.array_split(tried, TRIED_FREQUENCIES // TRIED_TOGETHER)):
+        extra = mode_columns(some[:, None], np.full((some.size, 1), damping), search.f, search.T, delay)
+        costs = search.costs_with(columns, extra)
+        found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
     for _, (frequency, damping) in sorted(found):

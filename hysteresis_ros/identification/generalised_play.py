@@ -36,13 +36,19 @@ from hysteresis_ros.identification.plant_model import stretches
 from hysteresis_ros.identification.play_fit import PlayFit, radii
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
+from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (
+    FALLING,
     LARGEST_RATE,
     PLAY,
+    RATE,
+    RISING,
+    SHARE,
     GeneralisedPlayHysteresis,
     GeneralisedPlayParameters,
+    envelope,
     follow_plays,
 )
 from hysteresis_ros.recordings.loops import turning_points
@@ -83,7 +89,7 @@ def fit_generalised_play(
     def choose(data):
         return _chosen(data, play_count, freedom, linear, progress)
 
-    def again(before, data):
+    def again(before, data, _):
         return judged_again(before.like(data).settle(before, progress), before)
 
     return robust_fit(voltage, displacement, sample_time, choose, again, skip=skip, history=history)[0]
@@ -135,40 +141,70 @@ class GeneralisedPlays(PlayFit):
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
         ranges = {"rate": (0.02 * half_cycle, 0.0, LONGEST_RATE * half_cycle), **BENDS}
         self.extra = tuple((name, *ranges[name]) for name in names)
+        self.block: GeneralisedPlayHysteresis | None = None
 
     def shaped(self, shape, weights, slope: float, offset: float = 0.0) -> GeneralisedPlayParameters:
         """Return parameters of a shape.
 
         Units: ``weights`` [m/V], ``slope`` [m/V], ``offset`` [m].
         """
-        bend, spread = shape.get("bend", 0.0), shape.get("spread", 0.0)
         return GeneralisedPlayParameters(
             radii=tuple(self.radii.tolist()),
             weights=tuple(np.asarray(weights, dtype=float).tolist()),
             slope=float(slope),
-            rate=float(shape.get("rate", 0.0)),
-            memory=float(max(self.data.sample_time, shape.get("rate", 0.0) / LARGEST_RATE)),
             voltage_low=float(self.data.voltage.min()),
             voltage_high=float(self.data.voltage.max()),
-            rising_bend=float(bend + 0.5 * spread),
-            falling_bend=float(bend - 0.5 * spread),
             offset=float(offset),
+            **self.shaped_numbers(shape),
         )
+
+    def shaped_numbers(self, shape) -> dict[str, float]:
+        """Return the parameters of the block that depend on the shape: bends, rate [s] and memory [s]."""
+        bend, spread, rate = (shape.get(name, 0.0) for name in ("bend", "spread", "rate"))
+        return {
+            "rate": float(rate),
+            "memory": float(max(self.data.sample_time, rate / LARGEST_RATE)),
+            "rising_bend": float(bend + 0.5 * spread),
+            "falling_bend": float(bend - 0.5 * spread),
+        }
+
+    def _block(self, shape) -> GeneralisedPlayHysteresis:
+        """Return the block of a shape with its plays at rest, and weights of 1.
+
+        A search asks for hundreds of shapes, and the check of all parameters takes longer than the plays: only the
+        numbers that depend on the shape are changed in a block that was checked once.
+        """
+        if self.block is None:
+            self.block = GeneralisedPlayHysteresis(
+                self.shaped({}, np.ones(len(self.radii)), 1.0), self.data.sample_time
+            )
+        found = self.shaped_numbers(shape)
+        p = self.block.p
+        p[RATE], p[RISING], p[FALLING] = found["rate"], found["rising_bend"], found["falling_bend"]
+        p[SHARE] = -elementary.expm1(-self.data.sample_time / found["memory"])
+        x = self.block.x
+        x[:] = 0.0
+        x[PLAY:] = 0.5 * (envelope(p, p[RISING], 0.0) + envelope(p, p[FALLING], 0.0))
+        return self.block
 
     def columns(self, shape) -> np.ndarray:
         """Return the voltage and the plays, shape (N, 1 + m), zero at rest."""
         data = self.data
-        block = GeneralisedPlayHysteresis(self.shaped(shape, np.ones(len(self.radii)), 1.0), data.sample_time)
+        block = self._block(shape)
         rest = block.x[PLAY:].copy()
-        block.simulate(stretches(data.history))
+        if data.history:
+            block.simulate(stretches(data.history))
         outputs = np.empty((len(data.voltage), len(self.radii)))
         compiled(follow_plays)(block.p, block.x, data.voltage, outputs)
-        return np.column_stack([data.voltage, outputs - rest])
+        found = np.empty((len(outputs), 1 + len(self.radii)))
+        found[:, 0] = data.voltage
+        np.subtract(outputs, rest, out=found[:, 1:])
+        return found
 
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
         other = GeneralisedPlays(data, self.play_count, self.names)
-        other.numbers = dict(self.numbers)
+        other.numbers, other.guess = dict(self.numbers), dict(self.found.values)
         return other
 
     def parameters(self) -> HysteresisParameters:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -58,6 +59,8 @@ from hysteresis_ros.recordings.loops import turning_points
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
+#: Step of the derivatives, as a fraction of a parameter, and the smallest one as a fraction of its range.
+RELATIVE_STEP, SMALLEST_STEP = 1e-3, 1e-6
 #: Singular values of the sensitivities below this fraction of the largest are rounding errors.
 SMALLEST_VALUE = 3e-8
 
@@ -87,8 +90,11 @@ class HammersteinFit(PlantModel):
         return cleaning_notes(self.drift, int(self.numbers.get("outliers", 0)))
 
 
-def search_linear_part(search: PartSearch, linear):
-    """Accept lag, creep and delay one after the other, each where it lowers the residual."""
+def search_linear_part(search: PartSearch, linear, guess=None):
+    """Accept lag, creep and delay one after the other, each where it lowers the residual.
+
+    ``guess`` holds values from which the searches start, by name.
+    """
     known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
@@ -99,7 +105,8 @@ def search_linear_part(search: PartSearch, linear):
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)
     kept: list[str] = []
-    found = search.run(kept, {}, base)
+    guess = guess or {}
+    found = search.run(kept, guess, base)
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
@@ -110,7 +117,7 @@ def search_linear_part(search: PartSearch, linear):
             bases.append(held)
         if part == "creep" and not base.settled:
             bases, threshold = [base, replace(base, settled=True)], SETTLED_START
-        trials = [search.run([*kept, part], found.values, start) for start in bases]
+        trials = [search.run([*kept, part], {**guess, **found.values}, start) for start in bases]
         better = int(len(trials) == 2 and threshold.improves(trials[1].spread, trials[0].spread))
         if LINEAR_PART.improves(trials[better].spread, found.spread):
             kept.append(part)
@@ -161,10 +168,15 @@ class PartTrial(NamedTuple):
 
 
 class PartSearch:
-    """Search for the parameters of the linear part and of the shape, each within its range."""
+    """Search for the parameters of the linear part and of the shape, each within its range.
 
-    def __init__(self, solve, data: Condensed, extra: tuple, progress):
-        self.solve, self.data, self.extra, self.progress = solve, data, extra, progress
+    ``solve(part, shape)`` returns the residual [m] of the best weights, and ``slopes(part, shape, neighbours)`` its
+    differences [m], shape (N, k), towards k neighbouring pairs of part and shape, at the last solved point. Without
+    ``slopes`` the residual is solved at every neighbour.
+    """
+
+    def __init__(self, solve, data: Condensed, extra: tuple, progress, slopes=None):
+        self.solve, self.data, self.extra, self.progress, self.slopes = solve, data, extra, progress, slopes
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
         longest = LONGEST_LAG * half_cycle
         #: For each part the name of its parameter, initial value, and ends of the range.
@@ -187,16 +199,31 @@ class PartSearch:
         low = np.array([table[key][1] for key in keys]) / scale
         guess = np.array([start.get(key, table[key][0]) for key in keys]) / scale
 
+        last = np.full(len(keys), np.nan)
+
+        def at(z):
+            return split_values(base, dict(zip(keys, z * scale, strict=True)))
+
         def residual(z):
             self.calls += 1
-            result = self.solve(*split_values(base, dict(zip(keys, z * scale, strict=True)))) / self.data.stroke
+            last[:] = z
+            result = self.solve(*at(z)) / self.data.stroke
             if self.progress is not None:
                 self.progress(self.calls, float(np.sqrt(np.mean(result**2))) * self.data.stroke)
             return result
 
+        def jacobian(z):
+            if not np.array_equal(z, last):
+                self.solve(*at(z))
+                last[:] = z
+            steps = np.maximum(RELATIVE_STEP * np.abs(z), SMALLEST_STEP)
+            steps = np.where(z + steps > low + 1.0, -steps, steps)
+            return self.slopes(*at(z), [at(other) for other in z + np.diag(steps)]) / (steps * self.data.stroke)
+
         inside = np.clip(guess, low + 1e-3, low + 1.0 - 1e-3)
+        how: dict[str, Any] = {"diff_step": RELATIVE_STEP} if self.slopes is None else {"jac": jacobian}
         found = least_squares(
-            residual, inside, bounds=(low, low + 1.0), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS
+            residual, inside, bounds=(low, low + 1.0), xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS, **how
         )
         values = dict(zip(keys, found.x * scale, strict=True))
         # a parameter at its bound has no column
@@ -302,19 +329,22 @@ def robust_fit(
 ) -> tuple[HammersteinFit, Any]:
     """Return the fit without outliers, their number, and the fitted structure.
 
-    ``choose(data)`` finds a structure on blocks of the recording; ``again(before, data)`` fits the same structure
-    without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen anew.
+    ``choose(data)`` finds a structure on blocks of the recording; ``again(before, data, settled)`` fits the same
+    structure without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen
+    anew. ``settled`` is true from the second repetition on, when few outliers are left: the parts of the dynamics then
+    remain as they are.
     """
-    structure = before
+    structure, repetitions = before, 0
     clipped = clipped_samples(np.asarray(displacement, dtype=float), np.asarray(voltage, dtype=float))
 
     def fit(kept, _):
-        nonlocal structure
+        nonlocal structure, repetitions
         data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
         if structure is None or again is None:
             structure = choose(data)
         else:
-            structure = again(structure, replace(data, drifts=structure.data.drifts))
+            structure = again(structure, replace(data, drifts=structure.data.drifts), repetitions > 1)
+        repetitions += 1
         return finished(structure, voltage, displacement, sample_time, kept, clipped)
 
     def look(found: HammersteinFit, kept):
@@ -340,7 +370,7 @@ PARTS, STRETCHES_OF_A_PART = 5, 4
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
     """Return the errors [m] on held-out samples, shape (number of samples,)."""
-    data = fit.data
+    data, fit = fit.data, copy(fit)  # what the parts share is kept in the copy, and released with it
     places = np.arange(len(data.kept))
     errors = np.zeros(len(places))
     for part in _parts(places, stretches):

@@ -479,9 +479,7 @@ class LinearPart:
         moved = table - table[:1] if self.settled else table
         if self.creep_rate < SMALLEST_RATE:
             return moved
-        feedthrough, weights, time_constants = self.creep.resolved()
-        sections = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
-        return filtered(moved, [Section(feedthrough), *sections])
+        return filtered(moved, _creep_sections(self.creep, sample_time))
 
     def behind_creep(self, crept, columns, sample_time: float) -> np.ndarray:
         """Return the response to columns whose response to creep, :meth:`crept`, is known; in the form of columns."""
@@ -595,6 +593,14 @@ class LinearPart:
         A = scipy.linalg.block_diag(*(block[0] for block in blocks))
         B, C = (np.concatenate([block[i] for block in blocks]) for i in (1, 2))
         return A, B[:, None], C, direct
+
+
+@lru_cache(maxsize=16)
+def _creep_sections(creep: CreepParameters, sample_time: float) -> tuple[Section, ...]:
+    """Return the operators of a creep law, and its part without delay; a search asks for the same law many times."""
+    feedthrough, weights, time_constants = creep.resolved()
+    sections = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
+    return Section(feedthrough), *sections
 
 
 def _table(columns) -> np.ndarray:

@@ -17,6 +17,10 @@ The weights are as smooth over the radius as the data allows: a recording of one
 classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights alternate, which causes
 errors in minor loops. The roughness (second difference) of the weights is therefore penalised as strongly as the
 residual permits.
+
+References
+----------
+.. [1] Golub & Pereyra, SIAM Journal on Numerical Analysis 10, 413-432, 1973, doi 10.1137/0710036.
 """
 
 from __future__ import annotations
@@ -25,11 +29,12 @@ import contextlib
 from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros.identification.hammerstein import PartSearch, PartTrial, search_linear_part, split_values
-from hysteresis_ros.identification.linear_systems import SMALLEST_RATE
+from hysteresis_ros.identification.linear_systems import SMALLEST_RATE, LinearPart
 from hysteresis_ros.identification.preprocessing import Condensed
 from hysteresis_ros.identification.thresholds import SMOOTHER_WEIGHTS
 from hysteresis_ros.models.hysteresis import HysteresisParameters
@@ -43,6 +48,14 @@ GRAM_FLOORS = (1e-13, 1e-12, 1e-11, 1e-10)
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
+class Crept(NamedTuple):
+    """Response of columns to creep."""
+
+    case: tuple[float, bool]  #: Longest time of the creep [s], and whether it had settled at the first sample.
+    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed again.
+    growth: np.ndarray | None = None  #: shape (N, m); What a creep rate of 1 adds.
+
+
 class PlayFit(ABC):
     """A model of plays, fitted to one set of data."""
 
@@ -54,8 +67,16 @@ class PlayFit(ABC):
     def __init__(self, data: Condensed):
         self.data = data
         self.numbers: dict[str, float] = {}
-        #: Shape and case of creep of the columns that :meth:`moved` keeps, the columns, and their response to creep.
-        self.crept: tuple[tuple, np.ndarray, np.ndarray, np.ndarray] | None = None
+        #: Values from which a search starts, by name.
+        self.guess: dict[str, float] = {}
+        #: Shape and columns of the last trial, and their response to creep.
+        self.kept_columns: tuple[dict[str, float], np.ndarray] | None = None
+        self.crept: Crept | None = None
+        #: Linear part, shape and filtered columns of the finished fit, while it is judged on held-out samples.
+        self.reply: tuple[LinearPart, dict[str, float], np.ndarray] | None = None
+        #: Least squares of the last trial of a search.
+        self.solver: WeightSolver | None = None
+        self.residual = np.zeros(0)
 
     @abstractmethod
     def columns(self, shape: dict[str, float]) -> np.ndarray:
@@ -65,9 +86,55 @@ class PlayFit(ABC):
     def parameters(self) -> HysteresisParameters:
         """Return the fit as parameters of the block."""
 
+    def search(self, progress) -> PartSearch:
+        """Return the search for the linear part and the shape."""
+        return PartSearch(self.solve, self.data, self.extra, progress, self.slopes)
+
     def solve(self, part, shape) -> np.ndarray:
         """Return the residual [m] of the weights for one trial of the search."""
-        return self.solve_weights(part, shape, SEARCH_STRENGTH)
+        data = self.data
+        self.solver = WeightSolver(
+            data.counted(self.moved(part, shape)),
+            data.counted(data.constants),
+            data.counted(data.displacement),
+            self.roughness,
+        )
+        self.weights, self.constants, self.residual = self.solver.solve(SEARCH_STRENGTH)
+        self.strength = SEARCH_STRENGTH
+        return self.residual
+
+    def slopes(self, part, shape, neighbours) -> np.ndarray:
+        """Return the differences of :meth:`solve` towards neighbouring pairs of part and shape, shape (N, k).
+
+        The weights follow (variable projection [1]_). For a change dΦ of the filtered columns Φ they need only dΦ w and
+        dΦᵀ e with the weights w and the residual e. Each is the filter of one signal: of the sum of the columns, and of
+        the residual backwards in time.
+        """
+        if self.solver is None:
+            raise RuntimeError("there is no solved trial")
+        data, step = self.data, self.data.sample_time
+        error = np.zeros(len(data.voltage))
+        error[data.first :][data.kept] = self.residual
+        columns = self.columns(shape) if self.kept_columns is None else self.kept_columns[1]
+        here = columns @ self.weights
+        shaped = [k for k, (other, _) in enumerate(neighbours) if other == part]
+        changed = [self.columns(neighbours[k][1]) - columns for k in shaped]
+        replies = part.apply(np.column_stack([here, *(change @ self.weights for change in changed)]), step)
+        back = _backwards(part, error, step)
+        moved, leaning = np.empty((len(here), len(neighbours))), np.empty((columns.shape[1], len(neighbours)))
+        for place, k in enumerate(shaped):
+            moved[:, k], leaning[:, k] = replies[:, 1 + place], _leaning(part, changed[place], error, back)
+        before = _leaning(part, columns, error, back)
+        for k, (other, _) in enumerate(neighbours):
+            if k not in shaped:
+                moved[:, k] = other.apply(here, step) - replies[:, 0]
+                leaning[:, k] = _leaning(other, columns, error, _backwards(other, error, step)) - before
+        return self.solver.followed(data.counted(moved), leaning, self.weights, SEARCH_STRENGTH)
+
+    def summed(self, shape) -> np.ndarray:
+        """Return the sum of the columns of a shape with the present weights, shape (N,)."""
+        kept = self.kept_columns
+        return (kept[1] if kept is not None and kept[0] == shape else self.columns(shape)) @ self.weights
 
     def solve_weights(self, part, shape, strength: float | None = None) -> np.ndarray:
         """Solve for the weights and return the residual [m].
@@ -75,7 +142,8 @@ class PlayFit(ABC):
         ``strength`` is the penalty on rough weights; None: as large as the residual allows.
         """
         data = self.data
-        moved = data.counted(self.moved(part, shape))
+        known = self.reply is not None and self.reply[:2] == (part, shape)
+        moved = data.counted(self.reply[2] if known and self.reply else self.moved(part, shape))
         target = data.counted(data.displacement)
         self.weights, self.constants, residual, self.strength = smooth_weights(
             moved, data.counted(data.constants), target, self.roughness, strength
@@ -85,28 +153,34 @@ class PlayFit(ABC):
     def moved(self, part, shape) -> np.ndarray:
         """Return the columns behind the linear part, shape (N, m).
 
-        Creep is most of the work, and it is linear in its rate: the response for the rate 1 is kept until the shape
-        changes.
+        Creep is most of the work, and it is linear in its rate: if a shape is asked for again, as where only the linear
+        part is searched, the response for the rate 1 is kept until the shape changes.
         """
         step = self.data.sample_time
-        case = shape, part.longest_time, part.settled, part.creep_rate >= SMALLEST_RATE
-        if self.crept is None or self.crept[0] != case:
-            columns = self.columns(shape)
-            still, full = (replace(part, creep_rate=rate).crept(columns, step) for rate in (0.0, float(case[-1])))
-            self.crept = case, columns, still, full - still
-        _, columns, still, growth = self.crept
-        return part.behind_creep(still + part.creep_rate * growth, columns, step)
+        if self.kept_columns is None or self.kept_columns[0] != shape:
+            self.kept_columns, self.crept = (shape, self.columns(shape)), None
+        columns = self.kept_columns[1]
+        if part.creep_rate < SMALLEST_RATE:
+            return part.apply(columns, step)
+        case = part.longest_time, part.settled
+        if self.crept is None or self.crept.case != case:
+            self.crept = Crept(case)
+            return part.apply(columns, step)
+        if self.crept.growth is None:
+            still, full = (replace(part, creep_rate=rate).crept(columns, step) for rate in (0.0, 1.0))
+            self.crept = Crept(case, still, full - still)
+        return part.behind_creep(self.crept.still + part.creep_rate * self.crept.growth, columns, step)
 
     def fit(self, linear, progress):
         """Search the linear part and the shape, then compute the weights."""
-        search = PartSearch(self.solve, self.data, self.extra, progress)
-        self.kept, self.base, found = search_linear_part(search, linear)
+        search = self.search(progress)
+        self.kept, self.base, found = search_linear_part(search, linear, self.guess)
         return self._finish(search, found)
 
     def settle(self, before, progress):
         """Search the shape, and the parameters of a linear part with known structure."""
         self.kept, self.base = before.kept, before.base
-        search = PartSearch(self.solve, self.data, self.extra, progress)
+        search = self.search(progress)
         return self._finish(search, search.run(self.kept, before.found.values, self.base))
 
     def behind(self, part):
@@ -116,7 +190,7 @@ class PlayFit(ABC):
         return self
 
     def _finish(self, search: PartSearch, found: PartTrial):
-        self.found = found
+        self.found, self.solver, self.residual = found, None, np.zeros(0)
         self.part, self.shape = split_values(self.base, found.values)
         self.deviations, self.converged = found.deviations or {}, found.converged
         self.warnings = tuple(search.at_ends(self.kept, found.values))
@@ -125,6 +199,8 @@ class PlayFit(ABC):
 
     def refitted(self, data: Condensed):
         """Return the model with the same shape and linear part, and weights for other samples of the recording."""
+        if self.reply is None:
+            self.reply = self.part, self.shape, self.moved(self.part, self.shape)
         other = copy(self)
         other.data = data
         other.solve_weights(self.part, self.shape, self.strength)
@@ -132,8 +208,41 @@ class PlayFit(ABC):
 
     def output(self) -> np.ndarray:
         """Return the modelled displacement [m], shape (N,)."""
-        moved = self.part.apply(self.columns(self.shape), self.data.sample_time)
-        return moved @ self.weights + self.data.constants @ self.constants
+        if self.reply is not None and self.reply[:2] == (self.part, self.shape):
+            moved = self.reply[2] @ self.weights
+        else:
+            moved = self.part.apply(self.summed(self.shape), self.data.sample_time)
+        return moved + self.data.constants @ self.constants
+
+
+def _backwards(part, error, sample_time: float) -> np.ndarray:
+    """Return an error, shape (N,), filtered by the linear part backwards in time.
+
+    Units: ``sample_time`` [s].
+    """
+    return replace(part, settled=False).apply(error[::-1], sample_time)[::-1]
+
+
+def _leaning(part, columns, error, back) -> np.ndarray:
+    """Return the products of the filtered columns and an error, shape (m,); ``back`` is the error backwards in time."""
+    found = columns.T @ back
+    return found + columns[0] * (part.settled_gain * error.sum() - back.sum()) if part.settled else found
+
+
+def differences(part, shape, neighbours, summed, sample_time: float) -> np.ndarray:
+    """Return the differences of the output of ``part``, shape (N, k), towards neighbours.
+
+    ``summed(shape)`` is its input, shape (N,); each neighbour differs in the linear part or in the shape.
+    Units: ``sample_time`` [s].
+    """
+    here = summed(shape)
+    shaped = [k for k, (other, _) in enumerate(neighbours) if other == part]
+    columns = np.column_stack([here, *(summed(neighbours[k][1]) for k in shaped)])
+    replies = part.apply(columns, sample_time)
+    found = np.empty((len(here), len(neighbours)))
+    for k, (other, _) in enumerate(neighbours):
+        found[:, k] = replies[:, 1 + shaped.index(k)] if k in shaped else other.apply(here, sample_time)
+    return found - replies[:, :1]
 
 
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
@@ -186,13 +295,37 @@ class WeightSolver:
         self.ridge = np.zeros(free.shape[1]) if ridge is None else np.asarray(ridge, dtype=float)
         self.size = float(np.linalg.norm(self.r[:, : self.count]) / np.sqrt(self.count))
 
+    def penalty(self, strength: float) -> np.ndarray:
+        """Return the rows of the penalty on rough weights."""
+        return strength * self.size * self.roughness
+
+    def followed(self, moved, leaning, weights, strength: float) -> np.ndarray:
+        """Return the change of the residual, shape (N, k), for k changes dΦ of the regressors.
+
+        ``moved`` is dΦ w, shape (N, k), and ``leaning`` dΦᵀ e with the residual e, shape (count, k). Weights of 0 stay
+        there, the others and the free coefficients follow.
+        """
+        follows = np.append(weights > 0.0, np.ones(self.table.shape[1] - self.count, dtype=bool))
+        penalty = np.zeros((len(self.roughness), self.table.shape[1]))
+        penalty[:, : self.count] = self.penalty(strength)
+        right = -self.table.T @ moved
+        right[: self.count] += leaning
+        r, penalty, right = self.r[:, follows], penalty[:, follows], right[follows]
+        gram = r.T @ r + penalty.T @ penalty
+        sizes = np.sqrt(np.diag(gram))
+        sizes[sizes == 0.0] = 1.0
+        gram = gram / np.outer(sizes, sizes) + GRAM_FLOORS[-1] * np.eye(len(sizes))
+        change = np.zeros((self.table.shape[1], moved.shape[1]))
+        change[follows] = np.linalg.solve(gram, right / sizes[:, None]) / sizes[:, None]
+        return -moved - self.table @ change
+
     def solve(self, strength: float):
         """Return weights, free coefficients and residual for one strength of the penalty."""
         from scipy.optimize import nnls  # imported here because only fits need it
 
         free = self.r[:, self.count :]
         penalty = np.zeros((len(self.roughness), self.table.shape[1] + free.shape[1]))
-        penalty[:, : self.count] = strength * self.size * self.roughness
+        penalty[:, : self.count] = self.penalty(strength)
         # an unconstrained coefficient is represented as the difference of two non-negative ones
         pull = np.zeros((free.shape[1], penalty.shape[1]))
         pull[:, self.count :] = np.column_stack([np.diag(self.ridge), -np.diag(self.ridge)])

@@ -43,6 +43,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     PartSearch,
+    PartTrial,
     judged_again,
     require_rising,
     robust_fit,
@@ -54,7 +55,7 @@ from hysteresis_ros.identification.hammerstein import (
 )
 from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.parameter_file import SMALL_LOOP_GAIN
-from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit, radii, smooth_weights
+from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit, differences, radii, smooth_weights
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (
     ANOTHER_KIND,
@@ -71,6 +72,8 @@ from hysteresis_ros.units import readable
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
+#: Relative change of the residual at which these steps have converged.
+CONVERGED = 1e-5
 #: Smallest slope of the sum of all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
 #: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unnecessary slopes near zero.
@@ -91,9 +94,15 @@ class FreeWeights(PlayFit):
         """Return the plays, shape (N, m)."""
         return self.plays
 
-    def solve(self, part, shape) -> np.ndarray:
-        """Return the residual [m] for one trial of the search, with few steps for the dead zones."""
-        return self.solve_weights(part, shape, SEARCH_STRENGTH, SEARCH_STEPS)
+    def search(self, progress) -> PartSearch:
+        """Return the search for the linear part; with dead zones the residual is solved at every neighbour."""
+        if not self.zone_count:
+            return super().search(progress)
+
+        def solve(part, shape):
+            return self.solve_weights(part, shape, SEARCH_STRENGTH, SEARCH_STEPS)
+
+        return PartSearch(solve, self.data, self.extra, progress)
 
     def solve_weights(self, part, shape, strength: float | None = None, steps: int = GAUSS_NEWTON_STEPS) -> np.ndarray:
         """Return the residual [m] of the best weights of plays and dead zones."""
@@ -105,7 +114,9 @@ class FreeWeights(PlayFit):
 
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
-        return FreeWeights(data, self.play_count, self.zone_count)
+        other = FreeWeights(data, self.play_count, self.zone_count)
+        other.guess = dict(self.found.values)
+        return other
 
     def output(self) -> np.ndarray:
         """Return the modelled displacement [m], shape (N,)."""
@@ -123,18 +134,20 @@ class FreeWeights(PlayFit):
         constants = data.counted(data.constants)
         best = (np.std(residual), self.weights, zone_weights, self.constants, residual)
         ridge = ZONE_RIDGE * data.stroke * np.sqrt(len(target))
+        before = np.inf
         for _ in range(steps):
             zones = _zones(x, thresholds)
             slope = 1.0 + (zones != 0.0) @ zone_weights
-            table = data.counted(part.apply(np.column_stack([slope[:, None] * self.plays, zones]), data.sample_time))
             # linearised: S'(x) Z w + d(x) s = y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
-            kink = data.counted(part.apply((zones - (zones != 0.0) * x[:, None]) @ zone_weights, data.sample_time))
-            zone_part = data.counted(part.apply(zones @ zone_weights, data.sample_time))
+            kink = ((zones != 0.0) * x[:, None]) @ zone_weights
+            table = np.column_stack([slope[:, None] * self.plays, zones, kink])
+            table = data.counted(part.apply(table, data.sample_time))
+            table, kink = table[:, :-1], table[:, -1]
             free = np.column_stack([table[:, len(self.radii) :], constants])
             weights, coefficients, _, _ = smooth_weights(
                 table[:, : len(self.radii)],
                 free,
-                target - kink + zone_part,
+                target + kink,
                 self.roughness,
                 strength,
                 ridge=np.append(np.full(self.zone_count, ridge), np.zeros(constants.shape[1])),
@@ -144,8 +157,12 @@ class FreeWeights(PlayFit):
             bent = data.counted(part.apply(x + _zones(x, thresholds) @ zone_weights, data.sample_time))
             still = np.linalg.lstsq(constants, target - bent, rcond=None)[0]
             residual = target - bent - constants @ still
-            if np.std(residual) < best[0]:
-                best = (np.std(residual), weights, zone_weights, still, residual)
+            size = np.std(residual)
+            if size < best[0]:
+                best = (size, weights, zone_weights, still, residual)
+            if abs(size - before) < CONVERGED * size:
+                break
+            before = size
         _, self.weights, self.zone_weights, self.constants, residual = best
         self.thresholds = thresholds
         return residual
@@ -184,6 +201,15 @@ def _monotone(zone_weights, thresholds):
     return result
 
 
+def few_columns(table, target) -> np.ndarray:
+    """Return the least-squares coefficients of two or three columns, for targets of shape (N,) or (N, k).
+
+    An orthogonal factor and a small system take a fraction of the time of the singular values of all samples.
+    """
+    basis, triangle = np.linalg.qr(table)
+    return np.linalg.lstsq(triangle, basis.T @ target, rcond=None)[0]
+
+
 #: Default value of κ, for data that does not determine it, and the range of its search.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
@@ -208,14 +234,28 @@ class SmoothDensity:
         self.radii = radii(data.voltage_range, play_count, data.reach) + 0.5 * step
         self.plays = data.plays(self.radii)
         self.numbers: dict[str, float] = {}
+        self.guess: dict[str, float] = {}
+        self.played: tuple[float, np.ndarray] | None = None
+        self.centre, self.span = 0.0, 1.0
 
     def fit(self, linear, progress):
         """Search linear part and shape with κ at its prior, then test whether the data determines κ."""
         self.decay = PRIOR_DECAY
-        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress)
-        kept, base, held = search_linear_part(search, linear)
+        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress, self.slopes)
+        kept, base, held = search_linear_part(search, linear, self.guess)
+        return self._finish(search, kept, base, held, progress)
+
+    def settle(self, before, progress):
+        """Search the shape, and the parameters of a linear part with known structure; then test κ."""
+        self.decay = PRIOR_DECAY
+        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress, self.slopes)
+        held = search.run(before.kept, before.found.values, before.base)
+        return self._finish(search, before.kept, before.base, held, progress)
+
+    def _finish(self, search: PartSearch, kept, base: LinearPart, held: PartTrial, progress):
         found = held
-        free = PartSearch(self.solve, self.data, (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)), progress)
+        shape = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE))
+        free = PartSearch(self.solve, self.data, shape, progress, self.slopes)
         settled = free.run(kept, held.values, base)
         self.settled = DENSITY_DECAY.improves(settled.spread, held.spread)
         if self.settled:
@@ -231,7 +271,7 @@ class SmoothDensity:
     def behind(self, part, decay: float):
         """Fit the shape for a known κ and a known linear part."""
         self.decay, self.part = decay, part
-        search = PartSearch(lambda _, shape: self.solve(part, shape), self.data, DENSITY_SHAPE, None)
+        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, None, self.slopes)
         self.shape = search.run([], {}, part).values
         self.rms = float(np.std(self.solve(part, self.shape)))
         return self
@@ -239,16 +279,29 @@ class SmoothDensity:
     def solve(self, part, shape) -> np.ndarray:
         """Return the residual [m] of the best scale and constant."""
         data = self.data
-        table = np.column_stack([part.apply(self.moved(shape), data.sample_time), data.constants])
-        table, target = data.counted(table), data.counted(data.displacement)
-        solution = np.linalg.lstsq(table, target, rcond=None)[0]
-        self.scale, self.constants = float(solution[0]), solution[1:]
+        moved = data.counted(part.apply(self.moved(shape), data.sample_time))
+        table, target = np.column_stack([moved, data.counted(data.constants)]), data.counted(data.displacement)
+        solution = few_columns(table, target)
+        self.scale, self.constants, self.table = float(solution[0]), solution[1:], table
         return target - table @ solution
+
+    def slopes(self, part, shape, neighbours) -> np.ndarray:
+        """Return the differences of the residual [m] towards neighbouring pairs of part and shape, shape (N, k).
+
+        Scale and constants follow (variable projection in the simplification of Kaufman, BIT 15, 1975: its gradient of
+        the squared residual is exact).
+        """
+        table, frame = self.table, (self.centre, self.span)
+        changes = self.scale * self.data.counted(
+            differences(part, shape, neighbours, self.moved, self.data.sample_time)
+        )
+        self.centre, self.span = frame
+        return table @ few_columns(table, changes) - changes
 
     def moved(self, shape) -> np.ndarray:
         """Return the input of the linear part, shape (N,), at unit scale and zero at rest."""
-        weights = self._weights(shape)
-        sums = self.data.voltage * weights[0] + self.plays @ weights[1:]
+        share = shape["elastic_share"]
+        sums = (share / (2.0 * self.half)) * self.data.voltage + (1.0 - share) * self._played(shape)
         counted = sums[self.data.first :]
         self.centre, self.span = 0.5 * float(counted.max() + counted.min()), 0.5 * float(np.ptp(counted))
         return self._map(sums, shape) - self._map(0.0, shape)
@@ -260,6 +313,13 @@ class SmoothDensity:
         share = shape["elastic_share"]
         return np.append(share / (2.0 * self.half), (1.0 - share) * density / moving)
 
+    def _played(self, shape) -> np.ndarray:
+        """Return the sum of the plays, shape (N,), which depends on κ only."""
+        decay = shape.get("decay", self.decay)
+        if self.played is None or self.played[0] != decay:
+            self.played = decay, self.plays @ self._weights({**shape, "elastic_share": 0.0})[1:]
+        return self.played[1]
+
     def _map(self, sums, shape):
         u = (sums - self.centre) / self.span
         inside = np.clip(u, -1.0, 1.0)  # linear beyond the recording
@@ -270,14 +330,16 @@ class SmoothDensity:
 
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
-        return SmoothDensity(data, self.play_count)
+        other = SmoothDensity(data, self.play_count)
+        other.guess = dict(self.found.values)
+        return other
 
     def refitted(self, data: Condensed):
         """Return the model fitted to other samples of the recording, starting from the present parameters."""
         other = copy(self)
         other.data = data
         extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
-        found = PartSearch(other.solve, data, extra, None).run(self.kept, self.found.values, self.base)
+        found = PartSearch(other.solve, data, extra, None, other.slopes).run(self.kept, self.found.values, self.base)
         other.part, other.shape = split_values(self.base, found.values)
         other.solve(other.part, other.shape)
         return other
@@ -350,8 +412,9 @@ def fit_prandtl_ishlinskii(
     def choose(data):
         return _chosen(data, play_count, zone_count, density, linear, progress, competitors)
 
-    def again(before, data):  # for a repeated fit without outliers, or with other dynamics
-        return judged_again(before.like(data).fit(linear, progress), before)
+    def again(before, data, settled):  # for a repeated fit without outliers, or with other dynamics
+        other = before.like(data)
+        return judged_again(other.settle(before, progress) if settled else other.fit(linear, progress), before)
 
     fit, structure = robust_fit(
         voltage, displacement, sample_time, choose, again, skip=skip, history=history, before=like

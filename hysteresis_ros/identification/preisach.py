@@ -152,14 +152,30 @@ class FreeDensity(PlayFit):
 
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
-        return FreeDensity(data, self.cell_count)
+        other = FreeDensity(data, self.cell_count)
+        other.guess = dict(self.found.values)
+        return other
 
     def fit(self, linear, progress):
         """Search the linear part with few cells on coarse data, then compute all weights on all data."""
         if self.cell_count <= SEARCHED_CELLS:
             return super().fit(linear, progress)
-        coarse = coarser(self.data, SEARCHED)
-        found = FreeDensity(coarse, SEARCHED_CELLS).fit(linear, progress)
+        return self._with(self._coarse().fit(linear, progress))
+
+    def settle(self, before, progress):
+        """Search the parameters of a linear part with known structure in the same way."""
+        if self.cell_count <= SEARCHED_CELLS:
+            return super().settle(before, progress)
+        return self._with(self._coarse().settle(before, progress))
+
+    def _coarse(self) -> FreeDensity:
+        """Return a fit with few cells to coarse data."""
+        found = FreeDensity(coarser(self.data, SEARCHED), SEARCHED_CELLS)
+        found.guess = self.guess
+        return found
+
+    def _with(self, found: FreeDensity):
+        """Compute all weights with the linear part of another fit."""
         self.kept, self.base, self.found, self.part, self.shape = (
             found.kept, found.base, found.found, found.part, found.shape
         )  # fmt: skip

@@ -30,24 +30,26 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
     change = np.diff(u)
     moving = np.flatnonzero(change)
     turns = moving[np.flatnonzero(np.diff(np.sign(change[moving]))) + 1] if moving.size > 1 else moving[:0]
-    points, direction, extreme = [0], 0, 0
+    places = [0, *turns.tolist(), u.size - 1]
+    values = u[places].tolist()  # Python compares its own numbers ten times as fast as those of an array
+    points, direction, extreme = [0], 0, 0  # extreme, low and high are indices of places
     low = high = 0
-    for k in [*turns.tolist(), u.size - 1]:
+    for k, value in enumerate(values[1:], start=1):
         if direction == 0:
-            low = k if u[k] < u[low] else low
-            high = k if u[k] > u[high] else high
-            if u[high] - u[low] > threshold:
+            low = k if value < values[low] else low
+            high = k if value > values[high] else high
+            if values[high] - values[low] > threshold:
                 direction = 1 if high > low else -1
                 extreme = max(high, low)
-                if min(high, low) > 0:
-                    points.append(min(high, low))
-        elif (u[k] - u[extreme]) * direction > 0.0:
+                if places[min(high, low)] > 0:
+                    points.append(places[min(high, low)])
+        elif (value - values[extreme]) * direction > 0.0:
             extreme = k
-        elif (u[extreme] - u[k]) * direction > threshold:
-            points.append(extreme)
+        elif (values[extreme] - value) * direction > threshold:
+            points.append(places[extreme])
             direction, extreme = -direction, k
-    if extreme and extreme != points[-1]:
-        points.append(extreme)
+    if extreme and places[extreme] != points[-1]:
+        points.append(places[extreme])
     return np.array(points)
 
 
