@@ -23,7 +23,7 @@ import time
 import common
 import numpy as np
 
-from hysteresis_ros.identification.linear_systems import first_order_hold
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 
@@ -48,7 +48,7 @@ def record(rows: int) -> dict[str, np.ndarray]:
     voltage = 1.8 - amplitude * np.cos(2 * np.pi * time_axis)
     parameters = PrandtlIshlinskiiParameters(radii=RADII, weights=WEIGHTS)
     block = hysteresis_block(HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters), 1.0 / RATE)
-    displacement = first_order_hold(block.simulate(voltage), LAG, 1.0 / RATE)
+    displacement = LinearPart(lag=LAG).apply(block.simulate(voltage), 1.0 / RATE)
     displacement += NOISE * np.random.default_rng(1).standard_normal(rows)
     return {"t_s": time_axis, "control_V": voltage, "gauge_um": 1e6 * displacement}
 
