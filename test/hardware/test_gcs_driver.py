@@ -35,7 +35,7 @@ from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.parameters import PlantNodeParameters
 
 #: Time [s] after which an answer counts as lost, in tests that lose answers.
-LOST = 0.2
+LOST = 0.5
 
 
 @pytest.fixture
