@@ -21,10 +21,12 @@ from damping_support import T, controller, stage
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
 from hysteresis_ros.control.damping.inner_loop import KINDS, DampingParameters, damped, modes
 from hysteresis_ros.control.damping.inner_loop import inner_loop as loop_of
+from hysteresis_ros.control.damping.kind import Mode
 from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.designs.damping import (
     RESONANCE,
     DampedDesign,
+    _margins,
     around_model,
     damping_plants,
     design_damping,
@@ -197,6 +199,25 @@ def test_a_design_prints_the_worst_of_its_plants():
     assert rows["damping reached"] == "0.3; resonances ±10 %: 0.2"
     assert rows["bandwidth without damping"] == "20 Hz; with it 5 times that"
     assert judged(None).times == np.inf and "bandwidth without damping" not in dict(judged(None).rows())
+
+
+def test_margins_that_do_not_exist_are_infinite_and_others_have_their_units():
+    found = margins(100.0, 1.7, 3.0)
+    assert _margins(found) == f"M_s 1.700, gain margin 9.0 dB, delay margin 3 samples, {3e3 * T:.4g} ms"
+    found.gain_margin = found.delay_margin = np.inf
+    assert _margins(found) == "M_s 1.700, gain margin infinite, delay margin infinite"
+
+
+def test_a_search_of_irc_has_feedback_of_both_signs_and_leaves_a_gain_margin():
+    """At rest the filter has the gain f/G of a plant of gain G; a loop of f < 0.5 has more than 6 dB."""
+    mode = Mode(500.0, 0.01, 2.0, 0.0)
+    (low, high, _), (most, least, _) = (feedback for feedback, _ in IRC.ranges(mode))
+    assert 0.0 < low < high < 0.5 and most < least < 0.0
+    for feedback, (slow, fast, _) in IRC.ranges(mode):
+        assert 0.0 < slow < 2.0 * np.pi * mode.frequency < fast
+        for place in feedback[:2]:
+            found = IRC.filter(IRC.chosen((place, slow), mode), T)
+            assert found.stable and found.dc_gain * mode.gain == pytest.approx(place, rel=1e-2)
 
 
 def test_a_damping_of_little_use_is_warned_of_and_another_is_not():

@@ -41,6 +41,38 @@ class Written:
         self.samples += stamps.tolist()
 
 
+@pytest.mark.parametrize(("stopped", "lost"), [(None, False), ("", False), ("the disk is full", True)])
+def test_a_recorder_has_lost_something_when_its_recording_ended_before_the_run(stopped, lost):
+    recording = None if stopped is None else SimpleNamespace(stopped=stopped)
+    assert RecorderNode.has_lost.fget(SimpleNamespace(recording=recording)) is lost
+
+
+@pytest.mark.parametrize("missing", [None, "/voltage", "/setpoint/taken"])
+def test_a_plant_is_told_to_begin_when_every_publisher_is_there_or_patience_has_ended(missing):
+    told = []
+    recorder = SimpleNamespace(
+        take_samples=lambda: None,
+        _arrived=False,
+        _last_arrival=0.0,
+        _opened=SimpleNamespace(tend=lambda space: None, stopped=""),
+        parameters=SimpleNamespace(min_space=0),
+        _began=False,
+        _patience=time.monotonic() + 60.0,
+        count_publishers=lambda topic: int(topic != missing),
+        _sampled=["/voltage", "/command"],
+        _taken="/setpoint/taken",
+        _send_acknowledgement=lambda: told.append(1),
+        end_of_run=-1,
+        runner=SimpleNamespace(exact=True),
+    )
+    RecorderNode._tend(recorder)
+    assert told == ([] if missing else [1]) and recorder._began is not bool(missing)
+    recorder._patience = 0.0
+    RecorderNode._tend(recorder)
+    RecorderNode._tend(recorder)
+    assert told == [1], "once"
+
+
 @pytest.mark.parametrize("lost", [0, 7])
 def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_count(lost):
     taken = Samples(10 + lost, np.zeros((3, 5)), np.arange(5), None, lost)
