@@ -61,7 +61,10 @@ def test_volts_go_out_and_metres_come_back(stand, device):
     device.write([50.0])
     until(lambda: device.read()[0] > 30.0e-6)
     axis = stand.controller.axes["1"]
-    assert axis.plant.voltage == 50.0 and device.read()[0] == pytest.approx(axis.plant.measured, abs=2e-8)
+    assert axis.plant.voltage == 50.0
+    until(
+        lambda: device.read()[0] == pytest.approx(axis.plant.measured, abs=2e-8), what="the measurement of the device"
+    )
 
 
 def test_units_and_scales_are_converted(stand):
