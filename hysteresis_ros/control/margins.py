@@ -116,7 +116,12 @@ def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
     -------
     ndarray of complex, shape (N, q)
     """
-    return -controller.response(z)[:, 0, 1:] * plant.response(z)[:, :, 0]
+    return _parts(controller.response(z), plant.response(z))
+
+
+def _parts(commands, displacements) -> np.ndarray:
+    """Return :func:`loop_parts` of responses that are known."""
+    return -commands[:, 0, 1:] * displacements[:, :, 0]
 
 
 #: Number of frequencies of the grid, and number added around each pole.
@@ -400,7 +405,7 @@ def _responses(controller: StateSpace, plant: StateSpace, angles) -> tuple[np.nd
     """Return L, |command per measurement| without the loop, and |displacement per reference| with it."""
     z = np.exp(1j * angles)
     commands, displacements = controller.response(z), plant.response(z)
-    loop = np.sum(-commands[:, 0, 1:] * displacements[:, :, 0], axis=1)
+    loop = np.sum(_parts(commands, displacements), axis=1)
     tracking = np.abs(commands[:, 0, 0] * displacements[:, 0, 0] / (1.0 + loop))
     return loop, np.abs(commands[:, 0, 1]), tracking
 

@@ -10,8 +10,8 @@
 """Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted places.
 
 The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
-must belong to root, to the user of this process, or to the owner of this package (who could change the package as
-well), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all:
+must belong to root, to the user of this process, or to the owner of this package (that user can change the package
+too), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all:
 only the owner of an entry can remove or rename it, and that owner is checked next. A group may write when it has no
 other members, such as the private group that many systems give each user. Access control lists are not checked.
 """
@@ -73,7 +73,7 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
     for place in _on_the_way(path.absolute()):
         problem, remedy = _alterable(place, trusted)
         if problem:
-            raise DriverError(name, f"is not loaded: {problem}, who could replace the code", remedy)
+            raise DriverError(name, f"is not loaded: {problem}; another user could replace the code", remedy)
     return real
 
 
@@ -100,7 +100,7 @@ def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
         whose = f"{place} belongs to {_user(found.st_uid)}"
         return whose, f"make it yours (chown {_user(os.geteuid())} {place}), or copy the driver to a folder of your own"
     if stat.S_ISLNK(found.st_mode):
-        return "", ""  # only the owner of a link, or a user who can write to its folder, can change its target
+        return "", ""  # only the owner of a link, or a user with write access to its folder, can change its target
     mode = f"{place} (mode {stat.S_IMODE(found.st_mode):04o})"
     sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     if found.st_mode & stat.S_IWOTH and not sticky:

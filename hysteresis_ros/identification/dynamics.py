@@ -338,7 +338,7 @@ class ModalSearch:
         """Return the columns that the response is linear in, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
         late = _lag_column(lag, self.f, self.T, delay)
-        both = [self.mode_columns(frequency, damping, delay) for frequency, damping in pairs]
+        both = [self.columns_of_mode(frequency, damping, delay) for frequency, damping in pairs]
         if structure.series:
             modes = in_series(lag, pairs)
             found = (1.0 - sum(mode.position for mode in modes)) * late
@@ -347,7 +347,7 @@ class ModalSearch:
             return found[:, None]
         return np.concatenate([late[:, None], *both], axis=1)
 
-    def mode_columns(self, frequency: float, damping: float, delay: float) -> np.ndarray:
+    def columns_of_mode(self, frequency: float, damping: float, delay: float) -> np.ndarray:
         """Return :func:`mode_columns`, shape (n, 2); the last ones are kept, as derivatives change one mode at a time.
 
         Units: ``frequency`` [Hz], ``delay`` [s].

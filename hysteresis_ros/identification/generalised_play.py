@@ -36,19 +36,13 @@ from hysteresis_ros.identification.plant_model import stretches
 from hysteresis_ros.identification.play_fit import PlayFit, radii
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
-from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (
-    FALLING,
     LARGEST_RATE,
     PLAY,
-    RATE,
-    RISING,
-    SHARE,
     GeneralisedPlayHysteresis,
     GeneralisedPlayParameters,
-    envelope,
     follow_plays,
 )
 from hysteresis_ros.recordings.loops import turning_points
@@ -171,20 +165,15 @@ class GeneralisedPlays(PlayFit):
     def _block(self, shape) -> GeneralisedPlayHysteresis:
         """Return the block of a shape with its plays at rest, and weights of 1.
 
-        A search asks for hundreds of shapes, and the check of all parameters takes longer than the plays: only the
-        numbers that depend on the shape are changed in a block that was checked once.
+        A search asks for hundreds of shapes, and the check of all parameters takes longer than the plays: the block is
+        checked once, and packed again for each shape.
         """
         if self.block is None:
             self.block = GeneralisedPlayHysteresis(
                 self.shaped({}, np.ones(len(self.radii)), 1.0), self.data.sample_time
             )
-        found = self.shaped_numbers(shape)
-        p = self.block.p
-        p[RATE], p[RISING], p[FALLING] = found["rate"], found["rising_bend"], found["falling_bend"]
-        p[SHARE] = -elementary.expm1(-self.data.sample_time / found["memory"])
-        x = self.block.x
-        x[:] = 0.0
-        x[PLAY:] = 0.5 * (envelope(p, p[RISING], 0.0) + envelope(p, p[FALLING], 0.0))
+        self.block.p[:] = self.block.pack(replace(self.block.parameters, **self.shaped_numbers(shape)))
+        self.block.reset()
         return self.block
 
     def columns(self, shape) -> np.ndarray:

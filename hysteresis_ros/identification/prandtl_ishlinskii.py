@@ -238,24 +238,27 @@ class SmoothDensity:
         self.played: tuple[float, np.ndarray] | None = None
         self.centre, self.span = 0.0, 1.0
 
+    def search(self, progress, with_decay: bool = False) -> PartSearch:
+        """Return the search for the linear part and the shape, with κ if it is not given."""
+        shape = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if with_decay else DENSITY_SHAPE
+        return PartSearch(self.solve, self.data, shape, progress, self.slopes)
+
     def fit(self, linear, progress):
         """Search linear part and shape with κ at its prior, then test whether the data determines κ."""
         self.decay = PRIOR_DECAY
-        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress, self.slopes)
+        search = self.search(progress)
         kept, base, held = search_linear_part(search, linear, self.guess)
         return self._finish(search, kept, base, held, progress)
 
     def settle(self, before, progress):
         """Search the shape, and the parameters of a linear part with known structure; then test κ."""
         self.decay = PRIOR_DECAY
-        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress, self.slopes)
+        search = self.search(progress)
         held = search.run(before.kept, before.found.values, before.base)
         return self._finish(search, before.kept, before.base, held, progress)
 
     def _finish(self, search: PartSearch, kept, base: LinearPart, held: PartTrial, progress):
-        found = held
-        shape = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE))
-        free = PartSearch(self.solve, self.data, shape, progress, self.slopes)
+        found, free = held, self.search(progress, with_decay=True)
         settled = free.run(kept, held.values, base)
         self.settled = DENSITY_DECAY.improves(settled.spread, held.spread)
         if self.settled:
@@ -271,8 +274,7 @@ class SmoothDensity:
     def behind(self, part, decay: float):
         """Fit the shape for a known κ and a known linear part."""
         self.decay, self.part = decay, part
-        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, None, self.slopes)
-        self.shape = search.run([], {}, part).values
+        self.shape = self.search(None).run([], {}, part).values
         self.rms = float(np.std(self.solve(part, self.shape)))
         return self
 
@@ -338,8 +340,7 @@ class SmoothDensity:
         """Return the model fitted to other samples of the recording, starting from the present parameters."""
         other = copy(self)
         other.data = data
-        extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
-        found = PartSearch(other.solve, data, extra, None, other.slopes).run(self.kept, self.found.values, self.base)
+        found = other.search(None, self.settled).run(self.kept, self.found.values, self.base)
         other.part, other.shape = split_values(self.base, found.values)
         other.solve(other.part, other.shape)
         return other

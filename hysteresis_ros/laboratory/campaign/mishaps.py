@@ -171,7 +171,7 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
         "partial",
         (0.0,),
     ),
-    ("somebody else's", "joint_states of a gripper between the measurements", "no effect", "foreign", (0.0,)),
+    ("of another device", "joint_states of a gripper between the measurements", "no effect", "foreign", (0.0,)),
     ("clock of the driver", "stamps jump by 10 s forward, and by 10 s back", "", "stamped", (10.0, -10.0)),
 )
 
