@@ -24,6 +24,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.fused import shallow_sleep
 from hysteresis_ros.loop.pacing import Lateness
 
@@ -209,15 +210,19 @@ def _throttling(run: Run) -> Delay:
         return Delay("real-time throttling", "not known", NOT_MEASURED, "")
     if runtime == "-1":
         return Delay("real-time throttling", "off", "nothing", "")
-    whole = run(whole=True)
+    change = "only for a loop that uses an isolated core all the time, as root: sysctl kernel.sched_rt_runtime_us=-1"
+    state = f"{runtime} of {period} µs"
+    try:
+        whole = run(whole=True)
+    except ParameterError:  # a running axis already takes the only core to spare
+        return Delay("real-time throttling", state, f"{NOT_MEASURED}: another loop polls the clock", change)
     cost = (
         f"a loop that never sleeps was interrupted for {1e3 * whole.max:.1f} ms at most, "
         f"{100.0 * whole.missed / whole.samples:.1f} % of its samples skipped"
     )
     if not whole.looked:
         cost = f"{NOT_MEASURED}: no priority, or no core to spare"
-    change = "only for a loop that uses an isolated core all the time, as root: sysctl kernel.sched_rt_runtime_us=-1"
-    return Delay("real-time throttling", f"{runtime} of {period} µs", cost, change)
+    return Delay("real-time throttling", state, cost, change)
 
 
 def _preemption(by_core: dict[int, Lateness]) -> Delay:

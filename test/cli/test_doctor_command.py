@@ -21,6 +21,7 @@ from click.testing import CliRunner
 from hysteresis_ros.cli import delays, doctor
 from hysteresis_ros.cli import doctor as command
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.pacing import Lateness
 from hysteresis_ros.models.block import COMPILED
 
@@ -209,6 +210,17 @@ def test_what_is_not_permitted_is_not_measured(machine, monkeypatch):
     assert found["real-time throttling"].cost.startswith("not measured")
     assert found["isolated cores"].change == "a second core is needed"
     assert found["polls the clock"].state.startswith("off")
+
+
+def test_a_loop_that_polls_beside_it_is_the_reason_and_not_the_end(machine):
+    def beside_another(spin=-1.0, cpu=-1, whole=False):
+        if whole:
+            raise ParameterError("realtime.spin = 0.0001 s: other loops poll the clock")
+        return paced(spin, cpu)
+
+    found = {delay.name: delay for delay in delays.delays(beside_another)}
+    assert found["real-time throttling"].cost == "not measured: another loop polls the clock"
+    assert len(found) == 8
 
 
 def test_lists_of_cores_are_read():

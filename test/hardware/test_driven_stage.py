@@ -84,14 +84,13 @@ def parameters(driver, x: str = "", y: str = "", mode: str = "fused") -> StagePa
 
 @contextlib.contextmanager
 def running(samples: int = 0):
-    """Yield the fused loop of a stage with two devices, its stage, and the processes of the devices."""
-    with running_stage(*PATIENT) as first, running_stage(*PATIENT) as second:
-        named = [f"driver_options: ['name={one.name}']" for one in (first, second)]
-        given = parameters(built() / "libstage.so", *named)
+    """Yield the fused loop of a stage with a driver in Python and a device, its stage, and the device's process."""
+    with running_stage(*PATIENT) as device:
+        given = parameters(built() / "libstage.so", "driver: simulated", f"driver_options: ['name={device.name}']")
         ranges = zip(given.axes, given.travel(), strict=True)
         stage = Stage(given, [fused_plant_of(axis.plant_simulator, travel=travel) for axis, travel in ranges])
         try:
-            yield FusedLoop(stage, samples=samples), stage, (first, second)
+            yield FusedLoop(stage, samples=samples), stage, device
         finally:
             for plant in stage.plants:
                 with contextlib.suppress(DriverError):  # it was killed
@@ -118,6 +117,7 @@ def test_a_fused_stage_of_devices_is_repeated_bit_for_bit():
         readers = [loop.reader(place) for place in (0, 1)]
         loop.start()
         assert loop.join(60.0) and not loop.failure and not any(plant.failure for plant in stage.plants)
+        assert loop.patience > 1.0, "drivers in Python have time-outs of their own"
         run = recorded(loop, readers)
         # each device got its own voltage, with the decoupling, once it has returned from its safe voltage
         x, y = (run[f"{name}/voltage"][1000:] for name in "xy")
@@ -138,11 +138,11 @@ def test_a_fused_stage_of_devices_is_repeated_bit_for_bit():
 @needs_compiler
 @pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
 def test_a_device_that_fails_stops_the_stage_and_the_other_device_goes_to_safe():
-    with running() as (loop, stage, devices):
+    with running() as (loop, stage, device):
         readers = [loop.reader(place) for place in (0, 1)]
         loop.start()
         until(lambda: loop.sample > 100 or loop.failure, what="samples")
-        devices[1].process.send_signal(signal.SIGKILL)
+        device.process.send_signal(signal.SIGKILL)
         until(lambda: stage.plants[1].tripped and stage.plants[0].tripped, what="both stopped")
         until(lambda: abs(stage.plants[0].held()) < 1e-9, what="the safe voltage of the other device")
         count = loop.sample
@@ -172,21 +172,3 @@ def test_an_axis_without_a_driver_beside_one_with_a_driver_is_refused():
 def test_the_clock_of_a_stage_by_messages_is_refused_at_its_devices():
     with pytest.raises(ParameterError, match="/x/plant_simulator: scan_clock = True: .* give time_mode: fused, or"):
         parameters("simulated", x="scan_clock: true", mode="realtime")
-
-
-@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
-def test_a_fused_stage_of_drivers_in_python_is_repeated_bit_for_bit():
-    given = parameters("simulated")
-    ranges = zip(given.axes, given.travel(), strict=True)
-    stage = Stage(given, [fused_plant_of(axis.plant_simulator, travel=travel) for axis, travel in ranges])
-    loop = FusedLoop(stage, math.inf, samples=600)
-    readers = [loop.reader(place) for place in (0, 1)]
-    loop.start()
-    assert loop.join(60.0) and not loop.failure and not any(plant.failure for plant in stage.plants)
-    assert loop.patience > 1.0, "drivers in Python have time-outs of their own"
-    run = recorded(loop, readers)
-    assert np.ptp(run["x/measured"]) > 1e-6 and np.ptp(run["y/measured"]) > 1e-6
-    assert stage_differences(run, given) == {}
-    for plant in stage.plants:
-        plant.make_safe()
-        plant.close()

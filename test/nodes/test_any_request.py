@@ -26,7 +26,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 
 #: Number of requests to each service, and seed of the random numbers; more requests by hand.
-REQUESTS, SEED = int(os.environ.get("ANY_REQUESTS", "12")), int(os.environ.get("ANY_SEED", "1"))
+REQUESTS, SEED = int(os.environ.get("ANY_REQUESTS", "8")), int(os.environ.get("ANY_SEED", "1"))
 NODES = ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator")
 #: Services of every node, without those of an action.
 SERVICES = {

@@ -133,8 +133,9 @@ def test_of_a_whole_run_more_than_a_moment_is_said():
     assert said.startswith(f"output limited for 0.8 s of 5 s, by {AMPLIFIER} and safe_slew_rate: ")
 
 
-@pytest.mark.parametrize("how", ["--processes", "--composed", "--fused"])
-@pytest.mark.parametrize("cut", [True, False])
+@pytest.mark.parametrize(
+    ("how", "cut"), [("--processes", True), ("--composed", False), ("--fused", True), ("--fused", False)]
+)
 def test_a_run_that_nobody_recorded_says_at_its_end_that_it_was_cut(processes, tmp_path, how, cut):
     axis = axis_parameters(sample_rate=200.0, overrides={"plant_simulator": {"late_limit": -1}})
     path = write_axis(tmp_path / "axis.yaml", axis)

@@ -249,8 +249,7 @@ def test_setpoints_of_the_stage_begin_with_the_same_sample(processes, observer, 
     assert (found["x/setpoint"][-1], found["y/setpoint"][-1]) == (13e-6, 12e-6)
 
 
-@pytest.mark.parametrize("how", ["--composed", "--processes"])
-def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_start(processes, observer, tmp_path, how):
+def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_start(processes, observer, tmp_path):
     from std_msgs.msg import Bool
 
     from hysteresis_ros.recordings.files import load_run
@@ -258,7 +257,7 @@ def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_star
     heard = {name: observer.listen(JointState, f"/{name}/joint_states") for name in "xy"}
     estop = observer.talk(Bool, "/x/estop")
     path = write(tmp_path / "stage.yaml", stage({}, 0, time_mode="realtime"))
-    run = processes.command("up", path, how, "--factor", "0.01", "--record", str(tmp_path / "bag"))
+    run = processes.command("up", path, "--processes", "--factor", "0.01", "--record", str(tmp_path / "bag"))
     until(lambda: estop.get_subscription_count() and len(heard["y"]) > 50, what="samples in real time")
     assert {one[-1].header.frame_id for one in heard.values()} == {""}
     estop.publish(Bool(data=True))

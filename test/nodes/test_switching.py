@@ -20,8 +20,7 @@ from nodes_support import axis_parameters, compose, until  # noqa: E402
 
 STEP = 2.05e-6
 DEPTH = 40000
-TYPES = ("sliding_mode", "integral_sliding_mode", "super_twisting", "pid", "super_twisting", "sliding_mode", "pid")
-TYPES += ("integral_sliding_mode", "pid", "open_loop")
+TYPES = ("sliding_mode", "integral_sliding_mode", "super_twisting", "pid", "super_twisting", "open_loop")
 
 
 def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(inside, observer):
