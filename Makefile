@@ -46,11 +46,11 @@ quick: setup lint
 test: setup kernels
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-# What continuous integration runs: every check and every test, none skipped because a tool is missing.
+# What continuous integration runs: every check and every test, none skipped because a tool is missing. The tests of the
+# folders in COVERED are those of `coverage`.
 ci: setup-all
-	$(MAKE) --no-print-directory -j2 lint kernels
-	$(MAKE) --no-print-directory coverage
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(MAKE) --no-print-directory -j3 lint kernels coverage
+	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,$(COVERED))
 
 # Lines that ran, by the tests of the same folders, apart from `make test`, so that no test against the clock is slowed.
 # Processes that tests start are not measured: only folders whose tests run in this process count. Of these the tests of
@@ -61,7 +61,7 @@ FLOOR := 93
 coverage: setup $(VENV)/coverage-tools
 	mkdir -p build/coverage
 	$(MEASURED) run --source=$$(echo $(addprefix hysteresis_ros/,$(COVERED)) | tr ' ' ,) \
-		-m pytest -q -m "not slow" $(addprefix test/,$(COVERED))
+		-m pytest -q $(addprefix test/,$(COVERED))
 	$(MEASURED) report --fail-under=$(FLOOR)
 
 # From Python 3.12 on the interpreter reports lines by itself (sys.monitoring), which costs least.
