@@ -22,7 +22,8 @@ tenth of the filter's weight falls on such samples, the correction is repeated u
 reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes
 an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter
 than after saturation, because one late sample is a small disturbance. When the reference differs from that of the
-previous period, the correction is phased out.
+previous period, the correction is phased out. In the first period it differs from that of a file while the axis
+approaches the path; there the correction is phased out too, but it stays stored for the second period.
 
 References
 ----------
@@ -419,7 +420,7 @@ def learned_correction(p, x, reference, error):
             value = repeated - RELIEF * gain * repeated
         x[LEARNED] += 1.0
     known = x[references + before]
-    # in the first period there is no earlier reference to compare with
+    # in the first period there is no earlier reference to compare with, except that of a file
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
         x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
         if x[WEIGHT] == 0.0:
@@ -430,6 +431,11 @@ def learned_correction(p, x, reference, error):
     x[corrections + now] = value
     x[errors + now] = error
     x[references + now] = reference
+    if x[WEIGHT] < 1.0 and x[SAMPLES] < period and x[MODE] != FORGETTING:
+        # the axis approaches the path of the file, and the file is still right for the second period
+        x[corrections + now] = repeated
+        x[errors + now] = math.nan
+        x[references + now] = known
     x[SAMPLES] += 1.0
     x[CORRECTION] = value
     return value

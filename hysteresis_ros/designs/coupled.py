@@ -145,15 +145,22 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
     """Return the text of a file with the designed section of each axis, one common header, and limits of its motion."""
     text, source = configuration.text, configuration.source
-    stage = StageParameters.from_configuration(configuration).stage
-    structure = (stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small).A
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
         head = header if number == len(designs) else ""
         text = written(now, design, head, f"{configuration.stage}/{name}")
-    for name in designs:
-        text = with_safe_motion(text, "the designed file", f"{configuration.stage}/{name}", structure=structure)
-    Stage(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
+    return safe_stage_text(text)
+
+
+def safe_stage_text(text: str) -> str:
+    """Return the text of a designed stage with limits of the motion of all axes, after a check that it can be built."""
+    source = "the designed file"
+    given = StageParameters.from_configuration(parse_configuration(text, source))
+    stage = given.stage
+    structure = (stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small).A
+    for name in given.names:
+        text = with_safe_motion(text, source, f"{given.namespace}/{name}", structure=structure)
+    Stage(StageParameters.from_configuration(parse_configuration(text, source)))
     return text
 
 

@@ -64,7 +64,8 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
     """Return a step of an axis from its start to its farthest setpoint; None for an inchworm motor."""
     if axis.reference_generator is None:
         return None
-    own = replace(axis.reference_generator, waveform=WaveformParameters())
+    axis = at_setpoint(axis)
+    own = replace(axis.generator, waveform=WaveformParameters())
     rate = axis.plant_simulator.sample_rate
     generator = ReferenceGenerator(part(own, ReferenceParameters), 1.0 / rate)
     start = own.initial_setpoint
@@ -121,6 +122,12 @@ def require_gentle(step: SetpointStep | None) -> None:
 
 def _largest(voltage: np.ndarray) -> float:
     return float(np.max(np.abs(np.diff(voltage))))
+
+
+def at_setpoint(axis: AxisParameters) -> AxisParameters:
+    """Return the axis whose reference begins at the initial setpoint, in spite of ``approach.from_rest``."""
+    own = axis.generator
+    return replace(axis, reference_generator=replace(own, approach=replace(own.approach, from_rest=False)))
 
 
 def unlimited(axis: AxisParameters) -> AxisParameters:

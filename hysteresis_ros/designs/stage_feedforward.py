@@ -37,7 +37,8 @@ from hysteresis_ros.control.feedforward import (
     inverse_filter,
 )
 from hysteresis_ros.designs.controller import feedforward_text
-from hysteresis_ros.designs.setpoint_step import AFTER, MOST, SETTLING, overshoot_of, unlimited
+from hysteresis_ros.designs.coupled import safe_stage_text
+from hysteresis_ros.designs.setpoint_step import AFTER, MOST, SETTLING, at_setpoint, overshoot_of, unlimited
 from hysteresis_ros.designs.stage_stability import gain_at_rest, right_decoupling
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
@@ -220,7 +221,7 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
     """Return the voltage changes of a step of each axis to its farthest setpoint, and of the waveforms."""
     rate, found = parameters.sample_rate, []
     settled = round(SETTLING * rate)  # the first motion is that from 0 V to the initial setpoint
-    free = replace(parameters, axes=tuple(unlimited(axis) for axis in parameters.axes))
+    free = replace(parameters, axes=tuple(at_setpoint(unlimited(axis)) for axis in parameters.axes))
     still = free.scanning([])
     for name, axis in zip(parameters.names, still.axes, strict=True):
         source = replace(axis.generator, waveform=WaveformParameters())
@@ -319,5 +320,4 @@ def stage_feedforward_file(configuration: Configuration, found: StageFeedforward
         own = axis.motion_controller.feedforward.to_mapping()
         given = parse_configuration(text, configuration.source)
         text = feedforward_text(given, own, f"{space}/{name}", "motion_controller", header)
-    Stage(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
-    return text
+    return safe_stage_text(text)

@@ -228,7 +228,7 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
     """Return the result of a run, without its first period."""
     paths = scanned_paths(parameters)
     period = paths.shape[1]
-    errors = []
+    errors, first = [], 1
     for place, (name, axis) in enumerate(zip(parameters.names, parameters.axes, strict=True)):
         measured = np.asarray(run[f"{name}/measured"])
         whole = len(measured) // period
@@ -239,10 +239,14 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
             )
         wanted = axis.generator.initial_setpoint + paths[place]
         given = np.asarray(run[f"{name}/reference"])[: whole * period].reshape(whole, period)
-        if not np.allclose(given[1:], wanted, rtol=0.0, atol=1e-9):
+        same = np.all(np.abs(given - wanted) <= 1e-9, axis=1)
+        # the first motion from rest may take longer than a period
+        settled = 1 + int(np.argmax(same[1:])) if axis.generator.approach.from_rest else 1
+        if not np.all(same[settled:]) or whole - settled < FEWEST - 1:
             raise RecordingError(f"{name}/reference is not the scan of the configuration from its beginning on")
-        errors.append(wanted - measured[: whole * period].reshape(whole, period)[1:])
-    found = np.array(errors)
+        first = max(first, settled)
+        errors.append(wanted - measured[: whole * period].reshape(whole, period))
+    found = np.array(errors)[:, first:]
     if not np.all(np.isfinite(found)):
         raise RecordingError("a measurement is missing after the first period: record the run again")
     mean = found.mean(axis=1)

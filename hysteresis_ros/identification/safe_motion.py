@@ -18,6 +18,9 @@ The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.ref
 period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
 leaves little vibration even when the frequency is off by some per cent.
 
+*The first motion* of an axis of a stage keeps them too: its reference begins at rest instead of in the middle of the
+range. A file that states `approach.from_rest` is not changed.
+
 *Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
 slew rate limits them.
 
@@ -156,6 +159,10 @@ def with_safe_motion(
                 text, name, namespace, "limits", {"slew_rate": (rate, f"{shown_unit('V')}/s: {slew.reason}")}
             )
     reference = configuration.node("reference_generator", namespace)
+    # a stage begins in the middle of its ranges, where its scans are centred
+    if configuration.stage is not None and "approach.from_rest" not in reference:
+        why = "the first motion, from rest to the initial setpoint, keeps the limits too"
+        text = _with_values(text, "reference_generator", namespace, "approach", {"from_rest": (True, why)})
     inverts = nodes["motion_controller"].get("feedforward.type") == "inverse_dynamics"
     if inverts and not reference.get("approach.steps", False):
         why = "steps of a waveform keep the limits too: the feedforward inverts the dynamics"

@@ -509,6 +509,7 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
         approach__maximum_velocity=0.0,
         approach__maximum_acceleration=0.0,
         approach__maximum_jerk=0.0,
+        approach__from_rest=False,
         **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
     )
 
@@ -529,6 +530,7 @@ def following(configuration: Configuration, path: str, rest: float = 0.0) -> Con
         "reference_generator",
         initial_setpoint=rest,
         **{f"approach.maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")},
+        **{"approach.from_rest": False},
         **{f"waveform.{name}": value for name, value in values.items()},
     )
     return configuration.override("", exit_at_end=True, autostart=True)

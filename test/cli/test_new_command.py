@@ -179,6 +179,7 @@ def test_several_axes_are_a_stage_in_open_loop_whose_manual_commands_stay_in_a_t
         assert (limits.minimum, limits.maximum, limits.slew_rate) == (0.0, 10.0, 100.0)
         assert axis.plant_simulator.limits == limits, "a stage is not driven farther than a single axis"
         assert axis.reference_generator.maximum == pytest.approx(0.1 * stroke)
+        assert axis.reference_generator.approach.from_rest
         assert axis.hysteresis_compensator.hysteresis.proportional.gain == pytest.approx(stroke / 100.0)
     far = {
         name: np.full(3000, axis.reference_generator.maximum) for name, axis in zip("xy", parameters.axes, strict=True)

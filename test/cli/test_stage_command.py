@@ -396,7 +396,8 @@ def test_all_axes_learn_together_from_recorded_runs(tmp_path):
         if number < 2:
             said = hysteresis("design", files[number], "--learning", "coupled", *given, "-o", files[number + 1])
             assert f"run {number + 1}, y: periodic error" in said and f"from {number + 1} runs" in said
-            assert files[number + 1].read_text(encoding="utf-8").count("# Learning designed by") == 1
+            written = files[number + 1].read_text(encoding="utf-8")
+            assert written.count("# Learning designed by") == 1 and written.count("from_rest: true") == 2
     left = [scan_figures(hr.scan_run(load_run(run), 0.2, 0.6))["rms_error_percent"] for run in runs]
     # the plant equals its model, except for noise and the residual hysteresis and creep
     assert left[2] < 0.5 * left[0]
@@ -421,6 +422,7 @@ def test_the_feedforward_of_a_stage_is_designed_for_its_controllers(tmp_path):
     left, before = map(float, re.search(r"coupling, model +(\S+) %; (\S+) % with the inverses alone", said).groups())
     assert left < 0.1 < 5.0 < before
     fed = StageParameters.from_configuration(load_configuration(str(path)))
+    assert all(axis.generator.approach.from_rest for axis in fed.axes)
     assert fed.stage.feedforward.matrix(2).shape == (2, 2, 26)
     refused = hysteresis("design", path, "--controller", "pid", "-o", path, code=2)
     assert "its feedforward was designed for its present controllers: give --feedforward too" in refused
@@ -437,3 +439,6 @@ def test_controllers_of_all_axes_are_designed_and_written(tmp_path):
     assert text.count("# Controller designed by") == 1
     run = hr.simulate(path, duration=0.05)
     assert np.max(np.abs(run["y/reference"] - run["y/displacement"])[400:]) < 50e-9
+    # the first motion is an approach; a jump to the middle of the ranges would be 7 V per sample, the slew rate
+    for name in "xy":
+        assert np.max(np.abs(np.diff(run[f"{name}/plant_voltage"]))) < 3.0

@@ -311,6 +311,32 @@ def test_the_correction_of_a_file_is_repeated_until_there_are_errors_to_learn_fr
     assert not np.any(m[1] == correction)
 
 
+@pytest.mark.parametrize("learns", [False, True])
+def test_what_a_file_knows_stays_while_the_axis_approaches_its_path(tmp_path, learns):
+    """In the first 12 samples the axis is on its way; the errors there are not those of the path."""
+    path, way = tmp_path / "learned.yaml", 12
+    correction = 1e-7 * np.random.default_rng(1).standard_normal(N)
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, correction, REFERENCE))
+    block = learning(fade=4 / RATE, lead=0, file=str(path), active=learns)
+    given = np.tile(REFERENCE, 3)
+    given[:way] += np.linspace(-2e-5, -1e-6, way)
+    m, _ = followed(block, (0.0, 0.8), 3, given)
+    np.testing.assert_allclose(m[0, :4], correction[:4] * [0.75, 0.5, 0.25, 0.0], rtol=1e-12, atol=1e-20)
+    assert not np.any(m[0, 4:way])
+    np.testing.assert_allclose(m[0, way : way + 4], correction[way : way + 4] * [0.25, 0.5, 0.75, 1.0], rtol=1e-12)
+    np.testing.assert_array_equal(m[0, way + 4 :], correction[way + 4 :])
+    np.testing.assert_array_equal(m[1, :way], correction[:way])
+    assert learns == bool(np.any(m[2, :way] != correction[:way]))
+    assert learns or np.array_equal(m[2], correction)
+
+
+def test_a_file_of_another_path_is_phased_out_for_good(tmp_path):
+    path = tmp_path / "learned.yaml"
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, 1e-7), REFERENCE))
+    m, _ = followed(learning(error_filter=(0.0,), file=str(path)), (0.0, 0.8), 4, REFERENCE + 1e-6)
+    assert np.array_equal(m, np.zeros((4, N)))
+
+
 @pytest.mark.parametrize(
     "other",
     [{"lead": 0}, {"error_filter": (0.5,)}, {"robustness_filter": (0.9,)}, {"period": 2 * N / RATE}],

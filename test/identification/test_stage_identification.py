@@ -26,9 +26,10 @@ from coupled_stages import as_values, configured, internal_structure  # noqa: E4
 
 import hysteresis_ros as hr  # noqa: E402
 from hysteresis_ros.analysis.stage_identification_report import write_stage_identification_report  # noqa: E402
-from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.configuration import load_configuration, parse_configuration  # noqa: E402
 from hysteresis_ros.designs import stage_identification  # noqa: E402
 from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
+from hysteresis_ros.designs.setpoint_step import at_setpoint  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
 from hysteresis_ros.designs.stage_frequency_response import level_responses  # noqa: E402
 from hysteresis_ros.designs.stage_identification import (  # noqa: E402
@@ -214,6 +215,37 @@ def test_a_linear_stage_is_found_again(linear, which):
     # the decoupled commands are displacements
     gain = stage.structure.linear.dc_gain @ stage.matrix("decoupling")
     np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
+
+
+def test_an_identified_stage_begins_at_rest(linear):
+    """The first voltages are 0 V, and the way to the middle of the ranges keeps the limits of the approach."""
+    own = linear[0].parameters
+    assert all(axis.generator.approach.from_rest for axis in own.axes)
+    jumps = replace(own, axes=tuple(at_setpoint(axis) for axis in own.axes))
+    first, jump = (
+        simulate_stage(
+            StageParameters.from_configuration(parse_configuration(one.configuration_text(), "stage")), duration=0.5
+        )
+        for one in (own, jumps)
+    )
+    for name, axis in zip(own.names, own.axes, strict=True):
+        there = axis.generator.initial_setpoint
+        assert jump[f"{name}/reference"][0] == there == first[f"{name}/reference"][-1]
+        steps = np.abs(
+            np.diff(first[f"{name}/reference"], prepend=min(max(0.0, axis.generator.minimum), axis.generator.maximum))
+        )
+        assert steps.max() <= axis.generator.approach.maximum_velocity * STEP * (1.0 + 1e-6)
+
+
+def test_an_excitation_of_a_stage_that_begins_at_rest_is_as_planned(tmp_path):
+    configuration = load_configuration("xy_scanner")
+    asked = StageExcitation(realisations=2, rests=(10.0, 30.0))
+    resting = configuration.override("reference_generator", approach__from_rest=True)
+    found = excited_stage(resting, asked, tmp_path / "m")
+    run = simulate_stage(found.stage, duration=0.1)
+    for place, name in enumerate("xy"):
+        # the slew rate limits the first sample
+        np.testing.assert_allclose(run[f"{name}/voltage"][5:], found.voltages[5:1000, place], atol=0.002)
 
 
 def test_what_is_held_out_does_not_change_the_response():

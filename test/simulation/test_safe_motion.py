@@ -138,6 +138,22 @@ def test_a_designed_stage_states_limits_from_the_lowest_mode_of_its_structure():
         assert 2.0 * approach.maximum_velocity / approach.maximum_acceleration == pytest.approx(1 / 700.0, rel=0.01)
 
 
+def test_a_designed_stage_begins_at_rest_unless_its_file_says_otherwise():
+    """A single axis is not changed; an axis that no controller was designed for belongs to the stage too."""
+    configuration = load_configuration("xy_scanner")
+    stage = StageParameters.from_configuration(configuration)
+    assert not any(axis.generator.approach.from_rest for axis in stage.axes)
+    designs = design_controllers(stage, DesignRequest(controller="pid"), {}, "x")
+    found = parse_configuration(controllers_file(configuration, designs, "--controller pid"), "designed")
+    assert all(axis.generator.approach.from_rest for axis in StageParameters.from_configuration(found).axes)
+    assert found.text.count("from_rest: true  # the first motion, from rest to the initial setpoint") == 2
+    stated = configuration.text.replace("    approach: ", "    approach:\n      from_rest: false")
+    kept = parse_configuration(stated, "stated")
+    assert controllers_file(kept, designs, "--controller pid").count("from_rest: false") == 1
+    assert "from_rest: true" not in controllers_file(kept, designs, "--controller pid")
+    assert "from_rest" not in designed(load_configuration("kim2009").text)
+
+
 @pytest.mark.parametrize("name", WALKING)
 def test_a_motor_that_walks_keeps_what_its_file_states_extender_and_clamps(name):
     configuration = load_configuration(name)

@@ -138,7 +138,6 @@ def closed_configuration(situation: StageSituation, watched: bool = True) -> Con
         own: list[tuple[str, dict]] = []
         for axis in _axes(situation):
             own.append((f"{axis.namespace}/plant_simulator", {"overtravel": axis.plant_simulator.overtravel}))
-            own.append((f"{axis.namespace}/reference_generator", {"approach.from_rest": True}))
         into = replace(into, entries=(*into.entries, *own))
     text = put_into(into, designed, StageParameters.from_configuration(designed))
     return parse_configuration(text, "the commissioned stage")

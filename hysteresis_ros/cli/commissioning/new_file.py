@@ -21,7 +21,7 @@ import yaml
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.identification.safe_motion import DIGITS, safe_slew
+from hysteresis_ros.identification.safe_motion import DIGITS, safe_slew, with_safe_motion
 from hysteresis_ros.loop.parameters import require_message_rate
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -196,6 +196,8 @@ def new_stage_text(axes: Mapping[str, NewAxis]) -> str:
         joint = f"    joint: {json.dumps(name)}                        # name in joint_states"
         text += f"\n/{name}/**:\n  ros__parameters:\n{joint}\n\n"
         text += own.replace("\n/commissioning:", f"\n/{name}/commissioning:")
+    for name in axes:
+        text = with_safe_motion(text, "the new stage", f"/{name}")
     return text
 
 
