@@ -152,7 +152,7 @@ class GeneratorSource:
         self.triggers = triggers_of(own)
         self._bound()
         if own.triggers.input.action == "start":
-            self.generator.begin_at(own.initial_setpoint)
+            self.generator.wait_for_start()
 
     def _bound(self) -> None:
         """Limit steps of the setpoint to the range that the present waveform leaves."""
@@ -219,7 +219,7 @@ class GeneratorSource:
         if self.triggers is not None:
             rest_triggers(self.triggers, self.parameters.initial_setpoint)
         if self.parameters.triggers.input.action == "start":
-            self.generator.begin_at(self.parameters.initial_setpoint)
+            self.generator.wait_for_start()
         if not running:
             self.generator.stop()
 

@@ -346,6 +346,25 @@ class ReferenceGenerator(Chain):
         self._range[1][:] = (MOVES, position, 0.0, 0.0)
         self._begun = position
 
+    def wait_for_start(self) -> None:
+        """Begin at rest at the initial setpoint, and let the waveform wait for :meth:`start`.
+
+        With ``approach.from_rest`` it begins where :meth:`reset` begins, and moves to the initial setpoint meanwhile.
+        """
+        setpoint = self.parameters.initial_setpoint
+        self.begin_at(setpoint)
+        if not self.parameters.approach.from_rest:
+            return
+        position = self._range[1][OUTPUT] = self._resting_position
+        if self.parameters.approach.unlimited:
+            self._range[1][FADE] = position - setpoint
+            return
+        rest(self.approach.p, self.approach.x, position, setpoint)
+        self.shaper.rest_at(position)
+        self.xs.trajectory[following.POSITION] = position
+        # a motion to the setpoint, and not an axis that waits for its first request
+        self.xs.trajectory[following.TARGET] = following.NOWHERE
+
     def stop(self) -> None:
         """Hold the reference at its last value; setpoints have no effect until :meth:`start`."""
         self._range[1][RUNNING] = HELD
@@ -423,6 +442,11 @@ class ReferenceGenerator(Chain):
     def _first_value(self) -> float:
         return self.waveform.kernel(self.waveform.p, np.zeros(1), 0.0)
 
+    @property
+    def _resting_position(self) -> float:
+        """Position at which an axis rests [m]: 0, or the end of the range that is closest to it."""
+        return min(max(0.0, self.parameters.minimum), self.parameters.maximum)
+
     def reset(self) -> None:
         """Return to the state at construction: waveform at its beginning, at rest at the initial setpoint.
 
@@ -443,7 +467,7 @@ class ReferenceGenerator(Chain):
         low, high = self.parameters.minimum, self.parameters.maximum
         self._range[1][:] = (WHOLE, min(max(first, low), high), 0.0, 0.0)
         if self.parameters.approach.from_rest:
-            self._range[1][OUTPUT] = min(max(0.0, low), high)
+            self._range[1][OUTPUT] = self._resting_position
             interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def retune(self, parameters: ReferenceParameters) -> None:

@@ -98,6 +98,40 @@ def test_a_pulse_starts_a_waveform_that_waits_as_a_start_does():
     assert np.all(axis.run(np.zeros(50))["waveform_sample"] == -1.0)
 
 
+@pytest.mark.parametrize("velocity", [1e-4, 0.0])
+def test_a_waveform_that_waits_for_a_pulse_lets_the_axis_approach_its_setpoint_from_rest(velocity):
+    """With limits the way is that of an axis without triggers; without limits it lasts approach.start_time, 0.1 s."""
+    there = {"initial_setpoint": 6e-6, "approach__maximum_velocity": velocity, "approach__from_rest": True}
+    there |= {"approach__maximum_acceleration": 100.0 * velocity, "approach__maximum_jerk": 0.0}
+    waiting = triggering(TRIANGLE | {"waveform__amplitude": 2e-6}, there, {"triggers__input__action": "start"})
+    axis = Axis(waiting)
+    pulses = np.zeros(700)
+    pulses[500] = 1.0
+    setpoints = np.full(700, 6e-6)
+    made = axis.run(setpoints, pulses=pulses)
+    way = made["reference"][:500]
+    assert abs(way[0]) < 1e-7 and way[-1] == 6e-6 and np.all(np.diff(way) >= 0.0)
+    assert np.max(np.diff(way)) <= (velocity / 3000.0 if velocity else 2.0 * 6e-6 / 300.0) * (1.0 + 1e-6)
+    assert np.all(made["waveform_sample"][:500] == -1.0)
+    assert made["waveform_sample"][500:].tolist() == list(range(200)) and np.ptp(made["reference"][500:]) > 1e-6
+    assert np.max(np.abs(np.diff(made["reference"]))) < 1e-7, "neither the beginning nor the pulse is a jump"
+    if velocity:
+        plain = triggering({"waveform__type": "hold"}, there)
+        assert np.array_equal(Axis(plain).run(setpoints[:500])["reference"], way)
+    axis.reset()
+    assert np.array_equal(axis.run(setpoints[:500])["reference"], way)
+
+
+def test_a_pulse_on_the_way_to_the_setpoint_does_not_let_the_reference_jump():
+    there = {"initial_setpoint": 6e-6, "approach__maximum_velocity": 1e-4, "approach__from_rest": True}
+    waiting = triggering(TRIANGLE | {"waveform__amplitude": 2e-6}, there, {"triggers__input__action": "start"})
+    made = run_of(waiting, [60], 6e-6)
+    assert 0.0 < made["reference"][59] < 3e-6 and made["waveform_sample"][60] == 0.0
+    # the velocity of the triangle is 40 µm/s, that of the approach 100 µm/s
+    assert np.max(np.abs(np.diff(made["reference"]))) <= 1.4e-4 / 3000.0 * (1.0 + 1e-6)
+    assert np.abs(made["reference"][-1] - 6e-6) < 3.1e-6
+
+
 def test_a_pulse_holds_the_reference_and_a_start_resumes_it():
     axis = Axis(triggering(TRIANGLE, {"triggers__input__action": "hold"}))
     pulses = np.zeros(SAMPLES)
