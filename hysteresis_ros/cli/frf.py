@@ -63,7 +63,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     type=int,
     help="Realisations of the random phases of a multisine.  [4; stage: three for each axis]",
 )
-@click.option("--points", type=int, default=40, show_default=True, help="Number of frequencies of a stepped sine.")
+@click.option("--points", type=int, help="Number of frequencies of a stepped sine.  [40]")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of phases, omitted lines and noise.")
 @click.option("--offline", is_flag=True, help="Use the simulated plant of the file, without ROS.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode of the nodes.")
@@ -153,7 +153,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.recordings.files import load_run
 
-    for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
+    for name in ("amplitude", "offset", "low", "high", "duration", "points", "record", "rate"):
         if options[name] is not None:
             raise ConfigurationError(
                 f"--{name}: {path} is a recording, whose excitation cannot be changed; omit the option"
@@ -212,7 +212,7 @@ def _require_open(source, options: dict) -> None:
     from hysteresis_ros.errors import ConfigurationError
 
     allowed = {"loop": "open", "at": "voltage", "kind": "multisine"}
-    for name in (*allowed, "offset", "low", "high", "duration"):
+    for name in (*allowed, "offset", "low", "high", "duration", "points"):
         value = allowed.get(name)
         if options[name] not in (None, value):
             option = "excitation" if name == "kind" else name

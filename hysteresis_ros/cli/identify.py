@@ -93,6 +93,12 @@ class FitState:
 @click.option("--controller", default="pid", show_default=True, help="Stage: controller to design, or none.")
 @click.option("--damping", help="Stage: damping to design.  [default: irc, if it can be designed]")
 @click.option("--noise", type=Quantity("m"), help="Stage: RMS noise of the sensors; by default as measured.")
+@click.option(
+    "--response",
+    type=click.Path(path_type=pathlib.Path),
+    help="Stage: response matrix of `hysteresis frf` (.npz); the dynamics are fitted to it instead of to that of the "
+    "recording.",
+)
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options
 @click.pass_context
@@ -124,6 +130,7 @@ def identify(
     controller,
     damping,
     noise,
+    response,
     **columns,
 ):
     """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as a ROS 2 parameter file.
@@ -160,12 +167,18 @@ def identify(
             controller=controller,
             damping=damping,
             noise=noise,
+            response=response,
         )
         chosen_columns = StageColumns(
             columns["input_"], columns["output_"], columns["time"], columns["sample_time"], period, settle
         )
         _stage(data, chosen_columns, asked, loops, into, params, report_path, json_path)
         return
+    if response is not None:
+        raise click.UsageError(
+            "--response is for the recording of a stage; the response of a single axis is DATA: hysteresis identify "
+            f"{response} --into CONFIG"
+        )
     (data,) = data
     if into is not None or order is not None or holds_response(data):
         _dynamics(data, into, order, params, columns["namespace"], json_path)

@@ -10,7 +10,7 @@
 """From recordings of a stage to its parameter file: structure, hysteresis, decoupling, controllers.
 
 1. Response matrix G [m/V] from the realisations that are not held out; by the local polynomial method if the inputs do
-   not repeat.
+   not repeat. A response matrix that was measured separately takes its place in the following steps.
 2. ``hammerstein``: a stable state space of G without feedthrough, after a delay of whole samples. Order and delay are
    chosen by the error on the held-out realisations. The columns of its input matrix are divided by the static gains
    from each actuator to its own sensor, which makes the inputs of the structure displacements [m]. The hysteresis of
@@ -25,6 +25,8 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import os
+import pathlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -42,6 +44,7 @@ from hysteresis_ros.designs.stage_frequency_response import (
     correlated_by_name,
     decoupled_responses,
     level_responses,
+    load_stage_response,
     response_without_periods,
 )
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError, ParameterError, Problem
@@ -115,6 +118,10 @@ class StageRequest:
         Damping to design; by default integral resonant control, if it helps.
     noise : float, optional
         RMS noise of the sensors [m] for the design; by default the measured noise.
+    response : path-like, optional
+        For type ``hammerstein``: the response matrix that ``hysteresis frf`` wrote for the stage (NPZ). The structure
+        and the models of the axes are fitted to it, and its bands are those of the designs. The recording determines
+        ranges, noise and, with its held-out realisations, the order.
     progress : callable, optional
         Called as ``progress(text)``.
     """
@@ -130,6 +137,7 @@ class StageRequest:
     controller: str = "pid"
     damping: str | None = None
     noise: float | None = None
+    response: str | os.PathLike | None = None
     progress: Callable[[str], None] | None = field(default=None, compare=False)
 
     def checked(self) -> StageRequest:
@@ -290,6 +298,9 @@ def identify_stage(
             responses: tuple[ResponseMatrix, ...] = (response_without_periods(reading),)
         else:
             responses, judged = level_responses(data, request.held_out)
+    noise = _noise(responses[0], data)
+    if request.response is not None:
+        responses = (_measured_matrix(request.response, names, reading),)
     warnings = [text for one in responses for text in one.response.warnings]
     if kind == INTERNAL and data is not None:
         ends = responses[-1].response.frequency[[0, -1]]
@@ -298,7 +309,6 @@ def identify_stage(
         plant, held = _hammerstein(responses[0], judged, reading, loops, names, request)
     _require_regular(plant.gain, responses[0], names)
     analyses = decoupled_responses(responses[0], plant.gain)
-    noise = _noise(responses[0], data)
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
     known = _uncertainties(parameters, analyses)
@@ -315,7 +325,7 @@ def identify_stage(
     if into is not None:
         text = put_into(into, designed, parameters)
     warnings = list(dict.fromkeys(warnings))
-    text = _with_section(text, reading, loops, figures, warnings, known)
+    text = _with_section(text, reading, loops, request.response, figures, warnings, known)
     structure = _linear_response(plant, responses[0].response.frequency)
     return IdentifiedStage(
         text,
@@ -339,7 +349,29 @@ def _kind(data: StructureData | None, request: StageRequest, loops: StageReading
         raise IdentificationError(f"type {INTERNAL}: the hysteresis is identified from the levels; omit the loops")
     if kind == INTERNAL and data is None:
         raise DataError("shape", f"type {INTERNAL}: the inputs do not repeat; excite with periodic multisines")
+    if kind == INTERNAL and request.response is not None:
+        raise IdentificationError(
+            f"type {INTERNAL}: the structure is fitted to all levels of the recording, not to a response matrix: omit "
+            f"--response, or give --type {HAMMERSTEIN}"
+        )
     return kind
+
+
+def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> ResponseMatrix:
+    """Return the response matrix in a file; refuse that of other axes or of another sample rate."""
+    axes, found = load_stage_response(path)
+    if axes != names:
+        raise IdentificationError(
+            f"{path}: is of the axes {', '.join(axes)}, but the recording has {', '.join(names)}; measure the stage of "
+            "the recording, or give the same names with --axes"
+        )
+    step = found.response.sample_time
+    if abs(step / reading.sample_time - 1.0) > 1e-6:
+        raise IdentificationError(
+            f"{path}: was measured at {1.0 / step:.6g} Hz, but the recording has {1.0 / reading.sample_time:.6g} Hz; "
+            "measure it at the rate of the recording"
+        )
+    return found
 
 
 def _require_regular(gain: np.ndarray, found: ResponseMatrix, names: tuple[str, ...]) -> None:
@@ -846,12 +878,14 @@ def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
     return product(block.simulate(drives) + preloads, parameters.stage.matrix("sensor_matrix").T)
 
 
-def _with_section(text: str, reading, loops, figures: dict, warnings, known: Uncertainties) -> str:
+def _with_section(text: str, reading, loops, response, figures: dict, warnings, known: Uncertainties) -> str:
     """Return the text with its section ``/identification``."""
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     section: dict = {"source": reading.source, "date": now.isoformat()}
     if loops is not None:
         section["loops"] = loops.source
+    if response is not None:
+        section["linear_source"] = pathlib.Path(response).name
     section |= {"inputs": list(reading.inputs), "outputs": list(reading.outputs)}
     for name, value in figures.items():
         if isinstance(value, list):

@@ -31,7 +31,11 @@ from hysteresis_ros.designs import stage_identification  # noqa: E402
 from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
 from hysteresis_ros.designs.setpoint_step import at_setpoint  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
-from hysteresis_ros.designs.stage_frequency_response import level_responses  # noqa: E402
+from hysteresis_ros.designs.stage_frequency_response import (  # noqa: E402
+    level_responses,
+    recorded_stage_response,
+    save_stage_response,
+)
 from hysteresis_ros.designs.stage_identification import (  # noqa: E402
     USED,
     StageRequest,
@@ -215,6 +219,49 @@ def test_a_linear_stage_is_found_again(linear, which):
     # the decoupled commands are displacements
     gain = stage.structure.linear.dc_gain @ stage.matrix("decoupling")
     np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
+
+
+def response_error(found) -> float:
+    """Return the RMS error of the linear part of an identified stage against the plant, up to 1 kHz [m/V]."""
+    frequency = found.responses[0].response.frequency
+    low = frequency < 1000.0
+    return float(np.sqrt(np.mean(np.abs(found.structure - plant().frequency_response(frequency))[low] ** 2)))
+
+
+def test_a_measured_response_matrix_replaces_that_of_a_noisy_recording(tmp_path):
+    """The recording has 100 nm of noise, and the matrix 2 nm; the noise of the sensor is that of the recording."""
+    matrix = tmp_path / "matrix.npz"
+    save_stage_response(matrix, recorded_stage_response(replace(recorded(excitation(runs=6)), axes=("x", "y"))))
+    noisy = recorded(excitation(runs=3), noise=1e-7, seed=4)
+    request = StageRequest(order=4, controller="none")
+    alone, found = (
+        identify_stage(noisy, realisations(noisy), one) for one in (request, replace(request, response=matrix))
+    )
+    assert response_error(found) < 0.2 * response_error(alone)
+    for name in ("noise_x_m", "noise_y_m"):
+        assert found.figures[name] == alone.figures[name] == pytest.approx(1e-7, rel=0.2)
+    assert found.held_out.errors.max() < 1.02 * alone.held_out.errors.max()
+    section = dict(parse_configuration(found.text, "stage").entries)["/identification"]
+    assert section["linear_source"] == "matrix.npz" and "linear_source" not in alone.text
+    # two realisations have no bands, so only the matrix tells a design how accurate the model is
+    assert "x.response.uncertainty" in section and "response.uncertainty" not in alone.text
+
+
+def test_a_response_matrix_of_another_stage_is_refused(tmp_path):
+    reading = recorded(excitation())
+    for number, (axes, step) in enumerate(((("x", "z"), STEP), (("x", "y"), 2.0 * STEP))):
+        other = replace(reading, axes=axes, sample_time=step)
+        save_stage_response(tmp_path / f"{number}.npz", recorded_stage_response(other))
+    request = StageRequest(order=4, controller="none")
+    for changes, words in (
+        ({"response": tmp_path / "0.npz"}, "0.npz: is of the axes x, z, but the recording has x, y; measure"),
+        ({"response": tmp_path / "1.npz"}, "1.npz: was measured at 5000 Hz, but the recording has 10000 Hz"),
+        ({"response": tmp_path / "0.npz", "type": "internal"}, "not to a response matrix: omit --response"),
+    ):
+        with pytest.raises(IdentificationError, match=words):
+            identify_stage(reading, realisations(reading), replace(request, **changes))
+    words = ("identify", "one.csv", "--response", tmp_path / "0.npz", "-o", tmp_path / "s.yaml")
+    assert "--response is for the recording of a stage" in hysteresis(*words, code=2)
 
 
 def test_an_identified_stage_begins_at_rest(linear):
