@@ -174,7 +174,8 @@ def test_options_of_a_single_axis_are_refused(written):
     for words in (("--loop", "closed"), ("--at", "command"), ("--excitation", "noise")):
         assert "omit it" in command("frf", path, *words, code=2).stderr
     assert "omit it" in command("frf", "xy_scanner", "--offset", "0.4", code=2).stderr
-    assert "--points 9: xy_scanner is of a stage" in command("frf", "xy_scanner", "--points", "9", code=2).stderr
+    said = command("frf", "xy_scanner", "--points", "9", code=2).stderr
+    assert "--points 9: " in said and "is of a stage, whose response matrix is measured" in said
     assert "excitation cannot be changed; omit" in command("frf", path, "--points", "9", code=2).stderr
     assert "without a unit" in command("frf", "xy_scanner", "--offline", "--amplitude", "2V", code=2).stderr
     assert "omit --namespace" in command("frf", "xy_scanner", "--namespace", "x", code=2).stderr
