@@ -41,6 +41,8 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 #: Default number of samples of a period of the multisine.
 PERIOD = 2000
 MULTISINE = "multisine"
+#: Fraction of the amplitude below which a multisine that a slew rate reduces is too small for an identification.
+WEAK = 0.1
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
     else:
         table = orthogonal_multisines(count, N, lines, realisations, asked.seed)
     played = np.repeat(table[:, None], asked.settle + asked.periods, axis=1).reshape(-1, count)
-    columns, slowed = [], []
+    columns, slowed, weakest = [], [], 1.0
     for place, (axis, name, samples) in enumerate(zip(parameters.axes, names, played.T, strict=True)):
         limits = axis.hysteresis_compensator.limits
         middle = 0.5 * (limits.minimum + limits.maximum)
@@ -158,6 +160,7 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
         rates = [one.limits.slew_rate for one in (axis.hysteresis_compensator, axis.plant_simulator)]
         slew = min((one for one in rates if one > 0.0), default=np.inf)
         allowed = slew / rate / np.max(np.abs(np.diff(samples)))
+        weakest = min(weakest, allowed / peak)
         if allowed < peak:
             slowed.append(f"{name} {100.0 * allowed / peak:.0f} %")
         columns.append(there_and_back(middle + min(peak, allowed) * samples, asked.rest(place, limits), rate))
@@ -165,6 +168,8 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
     words = f"multisines, {how}: {realisations} realisations of {asked.settle} + {asked.periods} periods of {N} samples"
     if slowed:
         words += f"; the slew rate reduces the amplitude to: {', '.join(slowed)}"
+        if weakest < WEAK:
+            words += " (raise limits.slew_rate of plant_simulator and hysteresis_compensator)"
     return np.array(columns).T, words
 
 

@@ -58,6 +58,8 @@ from hysteresis_ros.units import readable
 
 #: Approximate number of lines that are kept if the inputs do not repeat.
 MOST_LINES = 500
+#: Number of parts of a recording that tell its usual motion from single large movements.
+WINDOWS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,6 +275,15 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
             ) from None
         if isinstance(error, DataError):
             raise
+        whole, parts = float(np.sqrt(np.mean(size**2))), np.array_split(u, WINDOWS)
+        usual = float(np.sqrt(np.median([np.mean(np.var(part, axis=0)) for part in parts])))
+        if usual <= STILL * whole:
+            raise DataError(
+                "constant",
+                f"{reading.source}: the inputs move by {readable(usual, 'V')} RMS most of the time, but by "
+                f"{readable(whole, 'V')} with the way to their middle: excite more strongly; hysteresis excite prints "
+                "by how much limits.slew_rate of plant_simulator and hysteresis_compensator reduces the amplitude",
+            ) from None
         alike = np.abs(np.corrcoef(u.T)) - np.eye(len(names)) if len(names) > 1 else np.zeros((1, 1))
         one, other = np.unravel_index(int(np.argmax(alike)), alike.shape)
         raise IdentificationError(f"{reading.source}: {names[one]} and {names[other]}: {error}") from None
