@@ -65,6 +65,7 @@ from hysteresis_ros.identification.subspace import refine_on_response, subspace_
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, INTERNAL, StageParameters
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
+from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
 
@@ -73,6 +74,8 @@ ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
 #: Tried orders of the model of an axis, and factor on the smallest error up to which the error of a lower order
 #: suffices.
 AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
+#: RMS error, as a fraction of the gain, below which the response of an axis is that of a delay without dynamics.
+PURE_DELAY = 1e-3
 #: A structure is refined only if its error before the refinement is at most this factor times the smallest error.
 WORTH = 10.0
 #: A lower order of the structure suffices if its error is at most this factor times the smallest error: further states
@@ -312,7 +315,8 @@ def identify_stage(
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
     known = _uncertainties(parameters, analyses)
-    level = request.noise or (float(np.max(noise)) if noise is not None else None)
+    # a simulated plant may have no noise at all
+    level = request.noise or (float(np.max(noise)) or None if noise is not None else None)
     text, designs, why = design_identified(text, parameters, request, level, analyses, known)
     warnings += why
     designed = parse_configuration(text, "the identified stage")
@@ -673,7 +677,15 @@ def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
     model, late = _linear(response, None, AXIS_ORDERS, AXIS_ENOUGH)
     dynamics = replace(model.linear_parameters(), delay=late * step)
     f = response.frequency
-    fitted = model.frequency_response(f)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * f * late * step)
+    fitted = (model.frequency_response(f)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * f * late * step)).ravel()
+    # a delay without further dynamics is order 0; any order above it has states that cannot be controlled
+    samples = np.arange(1, MOST_DELAY + 2)
+    delays = np.exp(-2j * np.pi * np.outer(samples, f) * step)
+    errors = np.sqrt(np.mean(np.abs(delays - response.single) ** 2, axis=1))
+    least = float(np.sqrt(np.mean(np.abs(fitted - response.single) ** 2)))
+    if errors.min() <= max(AXIS_ENOUGH * least, PURE_DELAY):
+        fitted = delays[errors.argmin()]
+        dynamics = LinearParameters(delay=float(samples[errors.argmin()]) * step)
     relative = np.abs(response.single - fitted) / np.maximum(np.abs(fitted), 1e-12)
     values = {f"model.dynamics.{key}": value for key, value in dynamics.to_mapping().items() if value != ()}
     return values | {"model.dynamics.sample_time": step}, 100.0 * float(np.median(relative))

@@ -221,6 +221,19 @@ def test_a_linear_stage_is_found_again(linear, which):
     np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
 
 
+@pytest.mark.parametrize("noise", [0.0, 2e-9])
+def test_a_stage_without_dynamics_gets_controllers_for_its_delay(noise):
+    """Such is the simulated plant of a new stage; a model of order 2 has states that cannot be controlled."""
+    static = LinearModel(np.zeros((2, 2)), np.eye(2), 0.4e-6 * CROSSTALK, np.zeros((2, 2)), STEP)
+    reading = recorded(excitation(), static, noise)
+    found = identify_stage(reading, realisations(reading), StageRequest(order=2, damping="none"))
+    for axis in found.parameters.axes:
+        dynamics = axis.motion_controller.model.dynamics
+        assert dynamics.A == () and dynamics.delay == pytest.approx(STEP)
+        assert axis.motion_controller.type == "pid"
+    assert not any("no controller" in text for text in found.warnings)
+
+
 def response_error(found) -> float:
     """Return the RMS error of the linear part of an identified stage against the plant, up to 1 kHz [m/V]."""
     frequency = found.responses[0].response.frequency
