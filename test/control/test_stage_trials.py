@@ -135,6 +135,26 @@ def test_axes_learn_together_what_the_model_does_not_have(tmp_path):
     assert left[4] < 0.01 * left[1]
 
 
+def test_a_run_that_begins_at_rest_is_judged_from_the_first_whole_period_of_its_scan_on():
+    """At 0.15 mm/s the way to the middle takes longer than the period of 0.125 s."""
+    parameters = stage(*SPIRAL)
+    slow = {"maximum_velocity": 1.5e-4, "maximum_acceleration": 0.0, "maximum_jerk": 0.0, "from_rest": True}
+    axes = []
+    for axis in parameters.axes:
+        own = axis.reference_generator
+        axes.append(replace(axis, reference_generator=replace(own, approach=replace(own.approach, **slow))))
+    parameters = replace(parameters, axes=tuple(axes))
+    period = round(parameters.scan.period * parameters.sample_rate)
+    run = simulate_stage(parameters, duration=4.0 * parameters.scan.period)
+    found = trial(parameters, run, np.zeros((2, period)))
+    for place, name in enumerate(parameters.names):
+        error = (run[f"{name}/reference"] - run[f"{name}/measured"]).reshape(4, period)[2:]
+        np.testing.assert_allclose(found.error[place], error.mean(axis=0), atol=1e-9)
+    short = simulate_stage(parameters, duration=3.0 * parameters.scan.period)
+    with pytest.raises(RecordingError, match="is not the scan of the configuration"):
+        trial(parameters, short, np.zeros((2, period)))
+
+
 def test_what_cannot_be_learned_together_is_said(tmp_path):
     parameters = stage(*SPIRAL)
     learning = CoupledLearning.of(parameters, LearningRequest("coupled", bandwidth=200.0))
