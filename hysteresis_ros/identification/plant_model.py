@@ -44,7 +44,8 @@ class Request:
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
-    #: Earlier results of :func:`.separation.separated` for this data, by its arguments.
+    #: Earlier results of :func:`.separation.separated` for this data, by its arguments, and lists of earlier fits of
+    #: plays and densities, by :meth:`.separation.Start.past`.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:

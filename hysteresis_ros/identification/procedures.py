@@ -120,6 +120,10 @@ def _numbers_of_plays(parameters) -> int:
     return len(parameters.weights) + between + 1
 
 
+#: Models whose fits separate a hysteresis from the dynamics after it.
+SEPARATING = ("prandtl_ishlinskii", "preisach")
+
+
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
     # the stage includes the lag, but the hysteresis must not absorb it: fit the hysteresis with a lag
     parts = ("lag", "delay") if request.stage else request.parts
@@ -127,6 +131,8 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     voltage, displacement, skip = start.signals(data)
     options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
     fit = found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
+    if request.model in SEPARATING and not request.options:
+        request.separations.setdefault(start.past(parts), []).append(fit)
     request = replace(request, model=fit.hysteresis.type)
     if request.inverse not in MODELS[request.model].inverses:  # the model was chosen by the data
         request = replace(request, inverse=MODELS[request.model].inverses[0])

@@ -75,6 +75,10 @@ class Start:
             return data.input, data.output, self.skip
         return np.tile(data.input, 2), np.tile(data.output, 2), len(data) + self.skip
 
+    def past(self, parts: tuple[str, ...]):
+        """Return the key under which fits with this history and these parts are shared with a separation."""
+        return "fits", parts, self.kind, self.history
+
     def before(self, voltage) -> np.ndarray:
         """Return the voltages [V], shape (K,), from rest at 0 V up to the first sample that counts."""
         past = voltage if self.kind == "periodic" else stretches(self.history)
@@ -122,7 +126,7 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
         note = "the input was periodic before: the recording ends where it begins, and this fits better than rest"
         periodic = Start("periodic", 0, (), note)
         found.append((_trimmed(trials.error(periodic)), periodic))
-    voltage, error = trials.remanent()
+    voltage, error = trials.remanent(rest)
     found.append((error, _after(voltage, float(data.input[0]))))
     best = min(found, key=lambda row: row[0])
     return best[1] if PAST_WHILE_FITTING.improves(best[0], rest) else found[0][1]
@@ -168,8 +172,11 @@ class _PastTrials:
         error, alone = self.error(), self.error(Start("zero", first))
         return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(alone)
 
-    def remanent(self) -> tuple[float, float]:
-        """Return the voltage [V] whose remanence fits best, and its error [m]."""
+    def remanent(self, rest: float = np.inf) -> tuple[float, float]:
+        """Return the voltage [V] whose remanence fits best, and its error [m].
+
+        The search ends early if no remanence fits better than ``rest``, the error of a start at rest [m].
+        """
         voltage = self.data.input
         largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
         bipolar = float(np.min(voltage)) < -BIPOLAR * largest
@@ -179,6 +186,8 @@ class _PastTrials:
             found = remanent_voltage(
                 lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
             )
+            if found[1] >= rest:
+                break
         return found
 
 
@@ -249,7 +258,8 @@ def separated(data: IdentificationData, request: Request) -> Separated:
     """Return the data without lag, creep, outliers and drift, and the assumed history.
 
     A Preisach or a Prandtl-Ishlinskii model, whichever has the smaller residual, identifies them, because these models
-    leave the shape of the loops free. The request stores the result for the next model of the same data.
+    leave the shape of the loops free; if they were fitted to this data before, these fits are used. The request stores
+    the result for the next model of the same data.
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -267,7 +277,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
     searches: tuple[tuple[Any, dict], ...] = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
-    fits = [
+    fits = request.separations.get(start.past(looked_for)) or [
         found_with(partial(search, **options, **settings), voltage, displacement, data.sample_time, looked_for, skip)
         for search, settings in (searches if parts else searches[1:])
     ]

@@ -63,84 +63,76 @@ PRIOR_MODEL = "prandtl_ishlinskii"
 #: Models with more freedom than the others.
 FREER_MODELS = ("generalised_play",)
 #: A model whose error on the first held-out part exceeds this multiple of the smallest one is not fitted again.
-BEHIND = 2.0
+BEHIND = 1.5
 
 
 def choose_model(data: IdentificationData, linear: str | None, progress=None, **conditions):
     """Return the name of the model that predicts held-out data best, and the RMS errors of all models.
 
-    Each model is fitted to the first and to the last two thirds, and predicts the other third as far as the voltage
-    stays within the range of the fit; a constant is free. Models that cannot be fitted are skipped; a model whose error
-    on the first held-out third is twice the smallest one is stopped there, and that error is returned. A model with
-    more freedom must be better by three per cent. If the recording does not determine loops smaller than its own
+    Each model is fitted to the first two thirds and predicts the last third as far as the voltage stays within the
+    range of the fit; a constant is free. Models whose error there is at most 1.5 times the smallest one are then fitted
+    to the last two thirds too, and predict the first third; of the others the error on the last third is returned.
+    Models that cannot be fitted are skipped. A model with more freedom must be better by three per cent. If the
+    recording does not determine loops smaller than its own
     (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data is no new information: the
     model with a stated prior is then chosen, unless another model has less than half of its error.
     """
     refuse_falling(data)
-    found: dict[str, float] = {}
-    separations: tuple[dict, dict] = {}, {}
-    doubts: dict[str, float] = {}
-    reasons = []
-    firsts: dict[str, float] = {}
-    # those that are most often the best come first, so that the others can be stopped
-    order = sorted(MODELS, key=lambda name: (name != PRIOR_MODEL, name not in FREER_MODELS, name != "preisach"))
-    for number, name in enumerate(name for name in order if MODELS[name].block.invertible):
-        if progress is not None:
-            progress(number, f"{name} on held-out blocks")
-        try:
-            found[name], doubts[name] = held_out_error(
-                data, name, separations=separations, firsts=firsts, linear=linear, **conditions
-            )
-        except HysteresisError as error:
-            reasons.append(f"{name}: {' '.join(str(error).split())}")
-    if not found:
+    # the separation of the static models uses the fits of the models before them
+    ahead = sorted(MODELS, key=lambda name: (name != PRIOR_MODEL, name not in FREER_MODELS, name != "preisach"))
+    ahead = [name for name in ahead if MODELS[name].block.invertible]
+    squares: dict[str, list[np.ndarray]] = {}
+    ambiguities: dict[str, float] = {}
+    reasons: list[str] = []
+    edge, known = round(HELD_OUT_PART * len(data)), wiped_out(data.input) or 0
+    for number, (first, last, rest) in enumerate(
+        [(0, len(data) - edge, slice(len(data) - edge, None)), (edge, len(data), slice(known, edge))]
+    ):
+        shared: dict = {}
+        for name in list(ahead):
+            if progress is not None:
+                progress(number, f"{name} on held-out block {number + 1} of 2")
+            try:
+                error, ambiguity = held_out_squares(
+                    data, name, slice(first, last), rest, separations=shared, linear=linear, **conditions
+                )
+            except HysteresisError as problem:
+                reasons.append(f"{name}: {' '.join(str(problem).split())}")
+                ahead.remove(name)
+                squares.pop(name, None)
+                continue
+            ambiguities[name] = max(ambiguities.get(name, 0.0), ambiguity)
+            if error.size >= FEWEST_COMPARED:
+                squares.setdefault(name, []).append(error)
+        found = {name: float(np.sqrt(np.mean(np.concatenate(parts)))) for name, parts in squares.items()}
+        if number == 0:
+            least = min(found.values(), default=math.inf)
+            ahead = [name for name in ahead if name == PRIOR_MODEL or not found.get(name, 0.0) > BEHIND * least]
+    ahead = [name for name in ahead if name in found]
+    if not ahead:
+        reasons.append("too few samples remain for a comparison of models")
         raise IdentificationError(
             f"model {registry.AUTO}: no model can be fitted to two thirds of this data; {reasons[0]}"
         )
-    complete = [name for name in found if not _behind(name, firsts)]
-    best = min(complete, key=lambda name: found[name] / (FREER_MODEL.bound(1.0) if name in FREER_MODELS else 1.0))
-    unsettled = doubts.get(PRIOR_MODEL, 0.0) > NOTABLE_AMBIGUITY * data.stroke
+    best = min(ahead, key=lambda name: found[name] / (FREER_MODEL.bound(1.0) if name in FREER_MODELS else 1.0))
+    unsettled = ambiguities.get(PRIOR_MODEL, 0.0) > NOTABLE_AMBIGUITY * data.stroke
     if unsettled and best != PRIOR_MODEL and found[best] > NO_PRIOR.bound(found[PRIOR_MODEL]):
         best = PRIOR_MODEL
     return best, found
 
 
-def _behind(name: str, firsts: dict[str, float]) -> bool:
-    """Return whether a model has so large an error on the first held-out part that its evaluation stops there."""
-    return name != PRIOR_MODEL and firsts.get(name, 0.0) > BEHIND * min(firsts.values(), default=math.inf)
+def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: slice, **request):
+    """Return the squared errors [m²] of a model on held-out samples within the range of the fit, and its ambiguity [m].
 
-
-def held_out_error(
-    data: IdentificationData, model: str, separations=(None, None), firsts: dict[str, float] | None = None, **request
-) -> tuple[float, float]:
-    """Return the RMS error [m] of a model on the held-out thirds, and its ambiguity there [m].
-
-    ``firsts`` collects the errors of all models on the first part [m]; a model with a large error there is evaluated
-    only there.
+    ``fitted`` and ``rest`` are the fitted and the held-out samples.
     """
-    edge = round(HELD_OUT_PART * len(data))
-    known = wiped_out(data.input) or 0
-    squares: list[np.ndarray] = []
-    doubt = 0.0
-    for part, rest, separated in (
-        (slice(0, len(data) - edge), slice(len(data) - edge, None), separations[0]),
-        (slice(edge, None), slice(known, edge), separations[1]),
-    ):
-        fit = registry.identify(data.part(*part.indices(len(data))[:2]), model, separations=separated, **request)
-        doubt = max(doubt, fit.numbers.get("ambiguity_rms_m", 0.0))
-        predicted = predict(fit.chain, data.input, data.sample_time, measured=data.output)
-        voltage = data.input[part]
-        inside = (data.input[rest] >= voltage.min()) & (data.input[rest] <= voltage.max())
-        error = (data.output - predicted)[rest][inside]
-        if error.size >= FEWEST_COMPARED:
-            squares.append((error - error.mean()) ** 2)
-            if firsts is not None and model not in firsts:
-                firsts[model] = float(np.sqrt(np.mean(squares[0])))
-                if _behind(model, firsts):
-                    break
-    if not squares:
-        raise IdentificationError("too few samples remain for a comparison of models")
-    return float(np.sqrt(np.mean(np.concatenate(squares)))), doubt
+    fit = registry.identify(data.part(fitted.start, fitted.stop), model, **request)
+    predicted = predict(fit.chain, data.input, data.sample_time, measured=data.output)
+    voltage = data.input[fitted]
+    inside = (data.input[rest] >= voltage.min()) & (data.input[rest] <= voltage.max())
+    error = (data.output - predicted)[rest][inside]
+    error -= error.mean() if error.size else 0.0
+    return error**2, fit.numbers.get("ambiguity_rms_m", 0.0)
 
 
 #: Treatments of the constant of a sensor.

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hysteresis_ros.identification import hammerstein
 from hysteresis_ros.identification.dynamics import (
     CONTINUED,
     SCREENED,
@@ -32,9 +33,9 @@ from hysteresis_ros.identification.hammerstein import (
     held_out,
     survivor,
 )
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.preprocessing import remanent_voltage
 from hysteresis_ros.identification.separation import _PastTrials
-from hysteresis_ros.identification.workflow import BEHIND, PRIOR_MODEL, _behind
 
 COUNT = 20 * PARTS * STRETCHES_OF_A_PART
 #: Part to which each sample belongs: segments are assigned in turn.
@@ -144,10 +145,15 @@ def test_structures_of_the_dynamics_are_ordered_by_what_their_parameters_are_wor
     assert len(fits) == len(numbers) + CONTINUED and fits.count(SCREENED) == len(numbers)
 
 
-def test_models_that_are_far_behind_are_stopped_but_not_the_one_that_others_are_compared_with():
-    firsts = {"preisach": 1.0, PRIOR_MODEL: 1.05 * BEHIND, "duhem": 1.05 * BEHIND, "bouc_wen": 0.95 * BEHIND}
-    assert [name for name in (*firsts, "not tried yet") if _behind(name, firsts)] == ["duhem"]
-    assert not _behind("duhem", {})
+@pytest.mark.parametrize(("modes", "kept", "judged"), [((), 9, 1.0), ((), 8, 2.0), ((Mode(180.0, 0.02),), 9, 2.0)])
+def test_a_held_out_error_belongs_to_the_modes_and_samples_of_its_own_fit(monkeypatch, modes, kept, judged):
+    def fit(modes, kept, **numbers):
+        data = SimpleNamespace(kept=np.arange(9) < kept)
+        return SimpleNamespace(data=data, part=LinearPart(modes=modes), numbers=numbers)
+
+    monkeypatch.setattr(hammerstein, "held_out", lambda _: np.array([2.0]))
+    found = hammerstein.judged_again(fit(modes, kept), fit((), 9, held_out_rmse_m=1.0))
+    assert found.numbers["held_out_rmse_m"] == judged
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification import workflow
+from hysteresis_ros.identification import separation, workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import TurnSearch
 from hysteresis_ros.identification.linear_systems import LinearPart
@@ -234,11 +234,51 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     )
     found = identify(data(DECAYING, recorded(DECAYING)), "auto", linear="none")
     # a line is so far behind on the first third that it is not fitted to the other one
-    assert fitted == ["prandtl_ishlinskii"] * 2 + ["proportional", "prandtl_ishlinskii"]
+    assert fitted == ["prandtl_ishlinskii", "proportional"] + ["prandtl_ishlinskii"] * 2
     errors = [found.figures[f"held_out_{name}_rmse_m"] for name in tried]
     assert errors[0] > 2.0 * errors[1] and found.figures["model"] == "prandtl_ishlinskii"
     with pytest.raises(IdentificationError, match="auto has no options"):
         parse_options("auto", ["widths=3"])
+
+
+def test_a_remanence_that_fits_no_better_than_rest_is_searched_once(monkeypatch):
+    passes = []
+    found_voltage = separation.remanent_voltage
+    monkeypatch.setattr(separation, "remanent_voltage", lambda *given: passes.append(0) or found_voltage(*given))
+    find_start(data(GROWING, recorded(GROWING, (150.0, 0.0))))
+    assert len(passes) == 2
+    monkeypatch.setattr(separation, "remanent_voltage", lambda *_: passes.append(0) or (100.0, np.inf))
+    assert find_start(data(GROWING, recorded(GROWING))).kind == "zero" and len(passes) == 3
+
+
+def test_a_separation_uses_the_play_model_that_was_fitted_before(monkeypatch):
+    """The second model of the same data, which has no dynamics of its own, starts no search for them."""
+    shared, measured = {}, data(DECAYING, recorded(DECAYING))
+    asked = dict(linear="lag,creep", separations=shared)
+    workflow.registry.identify(measured, "prandtl_ishlinskii", **asked)
+    monkeypatch.setattr(separation, "found_with", lambda *_: pytest.fail("searched again"))
+    found = workflow.registry.identify(measured, "polynomial", **asked)
+    assert found.chain.hysteresis.type == "polynomial"
+
+
+@pytest.mark.parametrize("first, blocks", [(1.4, 2), (1.6, 1)])
+def test_auto_fits_models_that_are_behind_on_the_first_block_to_one_block_only(monkeypatch, first, blocks):
+    """The model that is behind would win on both blocks together, were it fitted to the second one."""
+    names, fitted = ("prandtl_ishlinskii", "preisach", "polynomial"), []
+
+    def squares(_, name, part, *__, **request):
+        fitted.append((name, part.start))
+        late = {"preisach": 1.0, "prandtl_ishlinskii": 5.0, "polynomial": first}[name]
+        return np.full(100, (late if part.start == 0 else {"polynomial": 0.1}.get(name, 1.0)) ** 2), 0.0
+
+    monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in names})
+    monkeypatch.setattr(workflow, "held_out_squares", squares)
+    chosen, errors = workflow.choose_model(data(DECAYING, recorded(DECAYING)), None)
+    assert [name for name, _ in fitted].count("polynomial") == blocks
+    assert chosen == ("polynomial" if blocks == 2 else "preisach")
+    # the model with the stated prior is always completed, and no model sees the block that it predicts
+    assert [name for name, start in fitted if start].count("prandtl_ishlinskii") == 1
+    assert errors["polynomial"] == pytest.approx(first if blocks == 1 else np.sqrt((first**2 + 0.01) / 2.0))
 
 
 @pytest.mark.parametrize(
@@ -246,9 +286,10 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     [(0.0, 0.9, "preisach"), (1e-6, 0.9, "prandtl_ishlinskii"), (1e-6, 0.4, "preisach")],
 )
 def test_auto_rests_on_the_prior_where_blocks_show_nothing_new(monkeypatch, doubt, other, chosen):
-    errors = {"prandtl_ishlinskii": (1e-7, doubt), "preisach": (other * 1e-7, doubt)}
+    sizes = {"prandtl_ishlinskii": 1e-7, "preisach": other * 1e-7}
+    errors = {name: (np.full(100, size**2), doubt) for name, size in sizes.items()}
     monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in errors})
-    monkeypatch.setattr(workflow, "held_out_error", lambda _, name, **request: errors[name])
+    monkeypatch.setattr(workflow, "held_out_squares", lambda _, name, *__, **request: errors[name])
     assert workflow.choose_model(data(DECAYING, recorded(DECAYING)), None)[0] == chosen
 
 
