@@ -39,7 +39,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,7 @@ from hysteresis_ros.identification.prediction import before_dynamics
 from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.identification.thresholds import FAST_DYNAMICS
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
+from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
@@ -92,6 +93,10 @@ class SegmentSpectra:
     def resolution(self) -> float:
         """Distance between the lowest frequencies [Hz]."""
         return float(self.frequencies[1] - self.frequencies[0])
+
+    def at(self, frequencies) -> SegmentSpectra:
+        """Return the same sums, assigned to other frequencies [Hz], shape (n,)."""
+        return replace(self, frequencies=np.maximum(frequencies, 0.0))
 
     def errors(self, response) -> np.ndarray:
         """Return Σ |Y - G W|² of each fold and frequency, shape (F, n)."""
@@ -167,6 +172,8 @@ DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
+#: Standard deviation of the power of the window's spectrum (Hann), as a fraction of the distance of two lines.
+WINDOW_WIDTH = 1.0 / math.sqrt(3.0)
 #: Relative step of the derivatives: the square root of the machine precision.
 SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
 #: Number of modes whose responses a search keeps.
@@ -202,6 +209,8 @@ class ModalTrial:
     gain: float
     response: np.ndarray  #: shape (n,); Response at the frequencies of the spectra, including the gain.
     values: np.ndarray  #: Parameters of the search.
+    #: Standard deviations of the chosen trial: lag and delay [s], mode_1_hz, mode_1_damping …
+    deviations: dict[str, float] = field(default_factory=dict)
 
 
 @functools.lru_cache(maxsize=8)
@@ -393,16 +402,8 @@ class ModalSearch:
             return latest[1]
 
         def slopes(values):
-            # as scipy does, without its checks, which take longer than the residuals
             here = latest[1] if np.array_equal(values, latest[0]) else residual(values)
-            found = np.empty((here.size, values.size))
-            steps = np.where(values < 0.0, -SMALL_STEP, SMALL_STEP) * np.maximum(np.abs(values), 1.0)
-            steps = np.where((values + steps < low) | (values + steps > high), -steps, steps)
-            for k, step in enumerate(steps):
-                other = values.copy()
-                other[k] += step
-                found[:, k] = (residual(other) - here) / (other[k] - values[k])
-            return found
+            return self.slopes(structure, values, here)
 
         low, high = self.bounds(structure)
         best = (np.inf, np.zeros(0))
@@ -421,6 +422,52 @@ class ModalSearch:
             if found.cost < best[0]:
                 best = (found.cost, found.x)
         return self.trial(structure, best[1])
+
+    def slopes(self, structure: ModalStructure, values, here) -> np.ndarray:
+        """Return the derivatives of the residual ``here`` at these values, shape (2 n, k); the coefficients follow."""
+        # as scipy does, without its checks, which take longer than the residuals
+        low, high = self.bounds(structure)
+        found = np.empty((here.size, values.size))
+        steps = np.where(values < 0.0, -SMALL_STEP, SMALL_STEP) * np.maximum(np.abs(values), 1.0)
+        steps = np.where((values + steps < low) | (values + steps > high), -steps, steps)
+        for k, step in enumerate(steps):
+            other = values.copy()
+            other[k] += step
+            found[:, k] = (self.solve(self.columns(structure, other))[1] - here) / (other[k] - values[k])
+        return found
+
+    def deviations(self, trial: ModalTrial) -> dict[str, float]:
+        """Return the standard deviations of lag [s], delay [s], and frequency [Hz] and damping of the modes.
+
+        The window correlates neighbouring lines, which :func:`parameter_covariance` counts. It also averages the
+        response over :data:`WINDOW_WIDTH` lines, which makes resonances wider: the shift of the parameters by this
+        average is added to their deviations. With two modes there is no deviation of the delay: their free numerators
+        can stand for half a sample of it, so that it has several likely values.
+        """
+        if not trial.values.size:
+            return {}
+        columns = self.columns(trial.structure, trial.values)
+        coefficients, residual = self.solve(columns)
+        slopes = self.slopes(trial.structure, trial.values, residual)
+        # real parts of all lines, then imaginary parts: neighbours in the table are neighbours in frequency
+        ordered, errors = (np.concatenate([table[::2], table[1::2]]) for table in (slopes, residual))
+        covariance = parameter_covariance(ordered, errors, columns.shape[1], truncated=SMALL_STEP, correlated=True)
+        width = WINDOW_WIDTH * self.spectra.resolution
+        sides = [ModalSearch(self.spectra.at(self.f + side), self.variance) for side in (-width, width)]
+        averaged = 0.5 * sum(side.columns(trial.structure, trial.values) for side in sides)
+        change = self.weight[:, None] * ((averaged - columns) @ coefficients)[:, None]
+        table = self.weight[:, None] * columns
+        change -= table @ _least_squares(table, change)
+        shift = np.linalg.lstsq(slopes, change[:, 0].view(float), rcond=SMALL_STEP)[0]
+        sizes = iter(np.hypot(np.sqrt(np.diag(covariance)), shift))
+        lag, _, pairs = self.unpack(trial.structure, trial.values)
+        found = {"lag": lag * next(sizes)} if trial.structure.lag else {}
+        late = self.T * next(sizes) if trial.structure.delay else 0.0
+        found |= {"delay": late} if trial.structure.delay and len(pairs) < 2 else {}
+        rows = sorted((frequency, frequency * next(sizes), damping * next(sizes)) for frequency, damping in pairs)
+        for number, (_, *both_sizes) in enumerate(rows, start=1):
+            found |= dict(zip((f"mode_{number}_hz", f"mode_{number}_damping"), both_sizes, strict=True))
+        return {name: float(size) for name, size in found.items()}
 
     def trial(self, structure: ModalStructure, values) -> ModalTrial:
         """Return the trial with given poles."""
@@ -505,7 +552,8 @@ def choose_dynamics(
         judged += [_left_out(search, found) for found in variants[:JUDGED]]
     if accepted is not None:
         judged = [pair for pair in judged if all(accepted(mode.frequency) for mode in pair[0].part.modes)]
-    return _chosen(judged, spectra)
+    chosen = _chosen(judged, spectra)
+    return replace(chosen, deviations=search.deviations(chosen))
 
 
 PAIR = ("lag", "delay")
@@ -656,6 +704,7 @@ class LinearStage:
     rmse: float = math.nan  #: RMS error of the simulated output [m], if the output was fitted.
     warnings: tuple[str, ...] = ()
     converged: bool = True
+    deviations: dict[str, float] = field(default_factory=dict)  #: As those of :class:`ModalTrial`.
 
 
 def fit_stage(
@@ -705,7 +754,13 @@ def _modal_stage(spectra: SegmentSpectra, parts, zeros: bool, accepted) -> Linea
     found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
     part = found.part
     return LinearStage(
-        part.dynamics(spectra.sample_time), found.gain, 0.0, found.structure.numbers, part.described()[0], part
+        part.dynamics(spectra.sample_time),
+        found.gain,
+        0.0,
+        found.structure.numbers,
+        part.described()[0],
+        part,
+        deviations=found.deviations,
     )
 
 
@@ -794,10 +849,12 @@ class TurnSearch:
                 found += self.settled(together, sharp=True)
         # small loops are less steep than large ones: without a hysteresis, a lag parallel to the modes would fit this
         # difference, and would then replace part of the loops
-        start = self.choose(self.voltage, zeros=False)
+        start = self.choose(self.voltage, zeros=False).part
         with contextlib.suppress(ParameterError, IdentificationError):
             if start.modes:
-                found += self.settled(self.fit(SEARCHED, linear=Known(start, self.creeps), **kept))
+                # a structure that was chosen behind other modes is the right one here too
+                like = found[-1].structure if len(found) > 1 else None
+                found += self.settled(self.fit(SEARCHED, linear=Known(start, self.creeps), **kept), like=like)
             elif not found:
                 # a lag of the spectra alone would contain the phase of the loops
                 together = self.fit(SEARCHED, linear=tuple(part for part in self.parts if part != "modes"))
@@ -822,10 +879,10 @@ class TurnSearch:
             count = max(longest, int(reached) + longest // 4, self.first + longest)
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
-    def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearPart:
+    def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearStage:
         """Choose the dynamics between their input, shape (N,), and the measured displacement."""
         how: dict[str, Any] = dict(parts=self.parts, late=late, zeros=zeros, accepted=self.excited)
-        return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how).part
+        return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how)
 
     def excited(self, frequency: float) -> bool:
         """Return whether a resonance at a frequency can be distinguished from the shape of the loops.
@@ -850,26 +907,29 @@ class TurnSearch:
                 return True
         return False
 
-    def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
+    def settled(self, fit: HammersteinFit, sharp: bool = False, like=None) -> list[HammersteinFit]:
         """Alternately choose the dynamics after the hysteresis and refit the hysteresis and its creep.
 
         With ``sharp``, only if there is a resonance that the present fit cannot represent. The first iteration chooses
-        the structure of the hysteresis.
+        the structure of the hysteresis, unless it is ``like`` that of another fit.
         """
         found: list[HammersteinFit] = []
         for _ in range(TURNS):
             late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
             moved = replace(fit, dynamics=LinearParameters(), synchronous=True).simulate(self.voltage)
-            part = self.choose(moved, late)
+            stage = self.choose(moved, late)
+            part = stage.part
             if sharp and not any(mode.damping < SHARP for mode in part.modes):
                 break
             before = fit.linear_part
             creep: dict[str, Any] = dict(
                 creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled
             )
-            kept = {"like": fit.structure} if found and fit.structure is not None else {}
+            like = fit.structure if found else like
+            kept = {} if like is None else {"like": like}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep), self.creeps), **kept)
+                fit = replace(fit, deviations={**fit.deviations, **stage.deviations})
             except (ParameterError, IdentificationError):  # with these dynamics, the hysteresis has no valid weights
                 break
             if not found or fit.rmse < found[0].rmse:

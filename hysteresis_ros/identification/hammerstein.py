@@ -382,9 +382,13 @@ def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
 
 
 def judged_again(fit, before):
-    """Return a fit with the numbers of the fit before, and its own held-out error if more samples are left out now."""
+    """Return a fit with the numbers of the fit before, and its own held-out error.
+
+    That error is computed again where more samples are left out now, or the fit is behind other dynamics.
+    """
     fit.numbers = {**before.numbers, **fit.numbers}
-    if "held_out_rmse_m" in fit.numbers and np.count_nonzero(~fit.data.kept) > np.count_nonzero(~before.data.kept):
+    fewer = np.count_nonzero(~fit.data.kept) > np.count_nonzero(~before.data.kept)
+    if "held_out_rmse_m" in fit.numbers and (fewer or fit.part.modes != before.part.modes):
         fit.numbers["held_out_rmse_m"] = float(np.sqrt(np.mean(held_out(fit) ** 2)))
     return fit
 

@@ -295,6 +295,21 @@ def chain_of(
     return chain if moved is hysteresis else replace(chain, hysteresis=moved, offset=zero.value)
 
 
+#: Half of a 95 % interval, in standard deviations.
+WITHIN_95_PERCENT = 1.96
+
+
+def half_widths(numbers: dict[str, float], deviations: dict[str, float]) -> dict[str, float]:
+    """Return half of the 95 % intervals of lag, delay and modes, as figures such as ``lag_plus_minus_s``."""
+    found = {}
+    for name in numbers:
+        stem, unit = (name[: -len(end)], end) if (end := f"_{name.rsplit('_', 1)[-1]}") in ("_s", "_hz") else (name, "")
+        size = deviations.get(name, deviations.get(stem))
+        if size is not None:
+            found[f"{stem}_plus_minus{unit}"] = WITHIN_95_PERCENT * size
+    return found
+
+
 def identified(
     data: IdentificationData,
     request: Request,
@@ -310,6 +325,7 @@ def identified(
     if request.intersample == "zoh" and not synchronous:
         part = part.held(data.sample_time)
     numbers, words = part.described()
+    numbers |= half_widths(numbers, found.deviations)
     dynamics = part.dynamics(data.sample_time)
     return Identification(
         model=request.model,

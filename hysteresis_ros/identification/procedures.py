@@ -421,7 +421,8 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
         part = replace(stage.part, settled=True)
         if part.modes or part.delay:
             constant = float(np.mean((y - stage.gain * part.apply(u, step))[skip:]))
-            return identified(data, request, FittedHysteresis(gain(stage.gain), 2), part, False, constant)
+            found = FittedHysteresis(gain(stage.gain), 2, stage.deviations)
+            return identified(data, request, found, part, False, constant)
     if request.stage:
         # only an initial value: with dynamics behind the gain, a line through the samples does not give it
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))

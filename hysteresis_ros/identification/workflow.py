@@ -491,7 +491,7 @@ def _with_fast(result: Identification, fast: Fast) -> Identification:
     """Return an identification with the dynamics of a fast recording."""
     chain, gain = with_fast_dynamics(result.chain, fast.data, fast.skip)
     numbers, words = chain.continuous.described()
-    kept = {name: value for name, value in result.numbers.items() if name not in ("lag_s", "delay_s")}
+    kept = {name: value for name, value in result.numbers.items() if not name.startswith(("lag_", "delay_", "mode_"))}
     numbers |= {**kept, "small_gain_over_model": gain}
     return replace(result, chain=chain, linear=", ".join(words) or "none", numbers=numbers)
 

@@ -17,8 +17,16 @@ import scipy.signal
 from foreign_plant import ForeignPlant
 
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.dynamics import choose_dynamics, in_series, part_response, segment_spectra
+from hysteresis_ros.identification.dynamics import (
+    MODES,
+    choose_dynamics,
+    fit_stage,
+    in_series,
+    part_response,
+    segment_spectra,
+)
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode, undo
+from hysteresis_ros.identification.plant_model import half_widths
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.workflow import identify, validate
 
@@ -96,6 +104,34 @@ def chosen(plant: ForeignPlant, voltage) -> LinearPart:
         part = choose_dynamics(spectra).part
         late = round(part.group_delay * plant.sample_rate)
     return part
+
+
+def test_half_of_a_95_percent_interval_has_the_unit_of_its_figure():
+    numbers = {
+        "lag_s": 1e-3,
+        "delay_s": 2e-3,
+        "mode_1_hz": 280.0,
+        "mode_1_damping": 0.03,
+        "creep_rate_per_decade": 0.02,
+    }
+    deviations = {"lag": 1e-5, "mode_1_hz": 0.1, "mode_1_damping": 1e-3, "elastic_share": 0.1}
+    expected = {"lag_plus_minus_s": 1.96e-5, "mode_1_plus_minus_hz": 0.196, "mode_1_damping_plus_minus": 1.96e-3}
+    assert half_widths(numbers, deviations) == pytest.approx(expected)
+
+
+def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
+    truth = {"lag": 1e-3, "delay": 0.75 / RATE, "mode_1_hz": 280.0, "mode_1_damping": 0.03}
+    part = LinearPart(lag=1e-3, delay=0.75 / RATE, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)
+    errors = []
+    for seed in range(8):
+        given, noise = np.random.default_rng(seed).standard_normal((2, 8000))
+        stage = fit_stage(given, part.apply(given, 1.0 / RATE) + 0.01 * noise, 1.0 / RATE, MODES)
+        numbers = {"lag": stage.part.lag, "delay": stage.part.delay, **stage.numbers}
+        errors.append([(numbers[name] - value) / stage.deviations[name] for name, value in truth.items()])
+    errors = np.array(errors)
+    assert np.all(np.abs(errors) < 3.0)
+    # below 1, because the shift by the window counts too; above 0.78 if neighbouring lines counted as independent
+    assert 0.4 < np.mean(errors[:, :2] ** 2) < 0.78
 
 
 @pytest.mark.slow

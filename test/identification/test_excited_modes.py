@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import dynamics
 from hysteresis_ros.identification.dynamics import (
     DAMPING_RANGE,
+    LinearStage,
     TurnSearch,
     choose_dynamics,
     fit_stage,
@@ -31,6 +32,7 @@ from hysteresis_ros.identification.hammerstein import PartSearch
 from hysteresis_ros.identification.linear_systems import Known, LinearPart, Mode, undo
 from hysteresis_ros.identification.prandtl_ishlinskii import DECAY_RANGE, DENSITY_SHAPE, PRIOR_DECAY, SmoothDensity
 from hysteresis_ros.identification.preprocessing import condense, inliers
+from hysteresis_ros.models.linear import LinearParameters
 
 RATE = 1000.0
 
@@ -163,6 +165,7 @@ class Fit:
     synchronous: bool = False
     linear_part: LinearPart = LinearPart(lag=2e-3)
     structure: object = None
+    deviations: dict = field(default_factory=dict)
 
     def simulate(self, voltage):
         return voltage
@@ -202,17 +205,43 @@ def test_without_modes_a_lag_of_a_fast_recording_is_fitted_together_with_the_hys
     assert asked == [("lag", "delay", "creep"), Known(LinearPart(lag=2e-3), asked[1].parts)]
 
 
+#: A chosen mode, and the deviation of its frequency.
+RINGING = LinearStage(
+    LinearParameters(),
+    1.0,
+    0.0,
+    4,
+    {},
+    LinearPart(modes=(Mode(180.0, 0.02),), hold=1e-3),
+    deviations={"mode_1_hz": 0.5},
+)
+
+
 def test_of_two_turns_the_better_one_is_kept(monkeypatch):
-    monkeypatch.setattr(TurnSearch, "choose", lambda *_: LinearPart(modes=(Mode(180.0, 0.02),), hold=1e-3))
+    monkeypatch.setattr(TurnSearch, "choose", lambda *_: RINGING)
     for sizes in ((1e-9, 3e-9), (3e-9, 1e-9)):
         fits = iter([Fit(size) for size in sizes])
         voltage = loops_then_chirp(3.0)
         (kept,) = search(voltage, 1e-7 * voltage, lambda _, fits=fits: next(fits)).settled(Fit(5e-9))
-        assert kept.rmse == 1e-9
+        assert kept.rmse == 1e-9 and kept.deviations == {"mode_1_hz": 0.5}
+
+
+def test_both_ways_to_the_dynamics_choose_the_structure_of_the_hysteresis_once(monkeypatch):
+    """The structure that is chosen behind the modes of the first way is fitted behind those of the second one."""
+    monkeypatch.setattr(TurnSearch, "choose", lambda *_, **__: RINGING)
+    asked, voltage = [], loops_then_chirp(3.0)
+
+    def fit(*_, linear=(), like=None):
+        asked.append(like)
+        return Fit(1e-9, structure=like or f"structure {len(asked)}")
+
+    TurnSearch(fit, voltage, 1e-7 * voltage, 1.0 / RATE, ("lag", "creep", "modes"), None).run()
+    # together, behind the first modes (chosen, then kept), behind those of the voltage, and behind modes again
+    assert asked == [None, None, "structure 2", "structure 1", "structure 2", "structure 2"]
 
 
 def test_creep_is_searched_again_behind_modes(monkeypatch):
-    monkeypatch.setattr(TurnSearch, "choose", lambda *_, **__: LinearPart(modes=(Mode(180.0, 0.02),), hold=1e-3))
+    monkeypatch.setattr(TurnSearch, "choose", lambda *_, **__: RINGING)
     asked = []
 
     def answer(linear):
