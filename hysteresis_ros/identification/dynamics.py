@@ -914,10 +914,11 @@ class TurnSearch:
         the structure of the hysteresis, unless it is ``like`` that of another fit.
         """
         found: list[HammersteinFit] = []
+        stage = None
         for _ in range(TURNS):
             late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
             moved = replace(fit, dynamics=LinearParameters(), synchronous=True).simulate(self.voltage)
-            stage = self.choose(moved, late)
+            before_stage, stage = stage, self.choose(moved, late)
             part = stage.part
             if sharp and not any(mode.damping < SHARP for mode in part.modes):
                 break
@@ -929,12 +930,25 @@ class TurnSearch:
             kept = {} if like is None else {"like": like}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep), self.creeps), **kept)
-                fit = replace(fit, deviations={**fit.deviations, **stage.deviations})
+                fit = replace(fit, deviations={**fit.deviations, **_less_certain(stage, before_stage)})
             except (ParameterError, IdentificationError):  # with these dynamics, the hysteresis has no valid weights
                 break
             if not found or fit.rmse < found[0].rmse:
                 found = [fit]
         return found
+
+
+def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, float]:
+    """Return the deviations of a stage, with its difference from the stage behind the hysteresis of the turn before.
+
+    The dynamics follow the errors of the hysteresis, which the scatter of the response does not show.
+    """
+    earlier = {} if before is None else before.numbers
+    return {
+        name: float(np.hypot(size, stage.numbers[key] - earlier.get(key, stage.numbers[key])))
+        for name, size in stage.deviations.items()
+        if (key := {"lag": "lag_s", "delay": "delay_s"}.get(name, name)) in stage.numbers
+    }
 
 
 #: A mode lies at a bound of its search within this fraction.

@@ -211,7 +211,7 @@ RINGING = LinearStage(
     1.0,
     0.0,
     4,
-    {},
+    {"mode_1_hz": 180.0},
     LinearPart(modes=(Mode(180.0, 0.02),), hold=1e-3),
     deviations={"mode_1_hz": 0.5},
 )
@@ -224,6 +224,14 @@ def test_of_two_turns_the_better_one_is_kept(monkeypatch):
         voltage = loops_then_chirp(3.0)
         (kept,) = search(voltage, 1e-7 * voltage, lambda _, fits=fits: next(fits)).settled(Fit(5e-9))
         assert kept.rmse == 1e-9 and kept.deviations == {"mode_1_hz": 0.5}
+
+
+def test_the_change_of_a_mode_from_turn_to_turn_is_part_of_its_deviation(monkeypatch):
+    turns = iter([RINGING, replace(RINGING, numbers={"mode_1_hz": 181.2})])
+    monkeypatch.setattr(TurnSearch, "choose", lambda *_: next(turns))
+    fits, voltage = iter([Fit(3e-9), Fit(1e-9)]), loops_then_chirp(3.0)
+    (kept,) = search(voltage, 1e-7 * voltage, lambda _: next(fits)).settled(Fit(5e-9))
+    assert kept.deviations == pytest.approx({"mode_1_hz": 1.3})  # 0.5 Hz and 1.2 Hz
 
 
 def test_both_ways_to_the_dynamics_choose_the_structure_of_the_hysteresis_once(monkeypatch):

@@ -9,7 +9,7 @@
 
 """Hysteresis, creep, lag and delay are distinguished in synthetic recordings with a known truth."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -151,6 +151,7 @@ class Late:
     synchronous: bool = False
     structure: Any = None
     rmse: float = 1.0
+    deviations: dict = field(default_factory=dict)
 
     def simulate(self, voltage):
         return voltage
@@ -160,8 +161,9 @@ def test_spectra_are_compared_where_the_movement_is_and_not_where_the_voltage_wa
     """A delay of 38 ms, half of a lag of 12 ms and half of 2 ζ/ω = 9.5 ms of a mode: 10 samples of 5 ms."""
     part = LinearPart(lag=12e-3, delay=38e-3, modes=(Mode(10.0, 0.3, 0.5),), hold=SAMPLE_TIME)
     late = []
+    stage = SimpleNamespace(part=part, numbers={}, deviations={})
     search = TurnSearch(lambda *data, **options: Late(part), sine(2), sine(2), SAMPLE_TIME, ("lag", "modes"), None)
-    monkeypatch.setattr(search, "choose", lambda moved, samples: late.append(samples) or part)
+    monkeypatch.setattr(search, "choose", lambda moved, samples: late.append(samples) or stage)
     assert search.settled(Late(part)) and late == [10] * TURNS
 
 
