@@ -14,11 +14,12 @@ from __future__ import annotations
 import pathlib
 import sys
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from hysteresis_ros.analysis.demonstration import moved_part
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
 
 BOXES = {
@@ -68,6 +69,19 @@ def draw_run(left, right, run) -> None:
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.3)
+
+
+def moved_part(run: Recording, before: float, after: float) -> Recording:
+    """Return the part of a run with setpoints; its time begins at zero.
+
+    Units: ``before`` [s], ``after`` [s].
+    """
+    starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
+    begin = max(int(starts[0]) - round(before / run.sample_time), 0)
+    stops = [change["sample"] for change in run.metadata.get("changes", ())]
+    part = slice(begin, min(*stops, int(starts[-1]) + round(after / run.sample_time), run.time.size))
+    signals = {name: values[part] for name, values in run.signals.items()}
+    return Recording(run.time[part] - run.time[begin], signals, run.units, run.metadata)
 
 
 def main(bag: str) -> None:

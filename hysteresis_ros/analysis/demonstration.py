@@ -28,19 +28,6 @@ def opening_of_stroke(run: Recording) -> float:
     return opening / float(np.ptp(run["reference"]))
 
 
-def moved_part(run: Recording, before: float, after: float) -> Recording:
-    """Return the part of a run with setpoints; its time begins at zero.
-
-    Units: ``before`` [s], ``after`` [s].
-    """
-    starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
-    begin = max(int(starts[0]) - round(before / run.sample_time), 0)
-    stops = [change["sample"] for change in run.metadata.get("changes", ())]
-    part = slice(begin, min(*stops, int(starts[-1]) + round(after / run.sample_time), run.time.size))
-    signals = {name: values[part] for name, values in run.signals.items()}
-    return Recording(run.time[part] - run.time[begin], signals, run.units, run.metadata)
-
-
 def message(here, alone, skipped, live: bool) -> list[str]:
     """Return the results in sentences: first the method, offline, then the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)

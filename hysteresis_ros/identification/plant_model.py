@@ -303,7 +303,8 @@ def half_widths(numbers: dict[str, float], deviations: dict[str, float]) -> dict
     """Return half of the 95 % intervals of lag, delay and modes, as figures such as ``lag_plus_minus_s``."""
     found = {}
     for name in numbers:
-        stem, unit = (name[: -len(end)], end) if (end := f"_{name.rsplit('_', 1)[-1]}") in ("_s", "_hz") else (name, "")
+        unit = next((unit for unit in ("_s", "_hz") if name.endswith(unit)), "")
+        stem = name.removesuffix(unit)
         size = deviations.get(name, deviations.get(stem))
         if size is not None:
             found[f"{stem}_plus_minus{unit}"] = WITHIN_95_PERCENT * size

@@ -21,7 +21,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
-from hysteresis_ros.analysis.demonstration import inverse_figure, message, moved_part, opening_of_stroke  # noqa: E402
+from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke  # noqa: E402
 from hysteresis_ros.cli.demo import PROCESSES, SETPOINTS, STEPS, TRIANGLES, WITH, WITHOUT  # noqa: E402
 from hysteresis_ros.recordings import Recording, load_run  # noqa: E402
 
@@ -124,14 +124,3 @@ def test_the_picture_is_the_clean_one_and_marks_what_was_skipped():
     np.testing.assert_allclose(marks.get_ydata(), 1e6 * here["displacement"][[900, 1500]])
     np.testing.assert_allclose(error.lines[1].get_ydata(), 0.01, rtol=1e-6)
     assert not [line for line in inverse_figure(clean, clean, clean, clean).axes[0].lines if line.get_marker() == "x"]
-
-
-def test_only_the_part_that_setpoints_move_is_judged():
-    time = np.arange(100) * 0.01
-    setpoint = np.where(time < 0.295, 0.0, np.where(time < 0.595, 1e-6, 2e-6))
-    run = Recording(time, {"setpoint": setpoint}, metadata={"changes": [{"sample": 95}]})
-    moved = moved_part(run, before=0.1, after=0.2)
-    assert moved.time[0] == 0.0 and moved.time.size == 60
-    assert np.array_equal(moved["setpoint"], setpoint[20:80])
-    # no samples from after the axis was stopped
-    assert moved_part(run, before=9.0, after=9.0).time.size == 95
