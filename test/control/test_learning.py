@@ -337,6 +337,18 @@ def test_a_file_of_another_path_is_phased_out_for_good(tmp_path):
     assert np.array_equal(m, np.zeros((4, N)))
 
 
+def test_what_a_file_knows_is_forgotten_in_the_first_period_as_in_any_other(tmp_path):
+    path = tmp_path / "learned.yaml"
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, 1e-7), REFERENCE))
+    block = learning(error_filter=(0.0,), fade=4 / RATE, file=str(path))
+    block.set_mode(FORGETTING)
+    first, _ = followed(block, (0.0, 0.8), 1)
+    np.testing.assert_allclose(first[0, :5], 1e-7 * np.array([0.75, 0.5, 0.25, 0.0, 0.0]), rtol=1e-12, atol=1e-20)
+    block.set_mode(LEARNING)
+    later, _ = followed(block, (0.0, 0.8), 3)
+    assert not np.any(later[0, 4:]) and np.all(np.abs(later[:, :4]) <= np.abs(first[0, :4]))
+
+
 @pytest.mark.parametrize(
     "other",
     [{"lead": 0}, {"error_filter": (0.5,)}, {"robustness_filter": (0.9,)}, {"period": 2 * N / RATE}],

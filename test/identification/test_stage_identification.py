@@ -46,6 +46,7 @@ from hysteresis_ros.designs.stage_identification import (  # noqa: E402
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError  # noqa: E402
 from hysteresis_ros.identification.data import DataError  # noqa: E402
 from hysteresis_ros.identification.excitations import orthogonal_multisines  # noqa: E402
+from hysteresis_ros.identification.frequency_response import FrequencyResponse  # noqa: E402
 from hysteresis_ros.identification.linear_systems import LinearModel  # noqa: E402
 from hysteresis_ros.identification.local_polynomial import local_polynomial_response  # noqa: E402
 from hysteresis_ros.identification.response_check import MeasuredPlant  # noqa: E402
@@ -234,6 +235,18 @@ def test_a_stage_without_dynamics_gets_controllers_for_its_delay(noise):
     assert not any("no controller" in text for text in found.warnings)
 
 
+@pytest.mark.parametrize(("late", "size"), [(1, 0.0), (4, 0.0), (0, 0.0), (1, 0.02), (4, 0.02)])
+def test_the_model_of_an_axis_is_a_delay_only_where_nothing_else_is_left(late, size):
+    """A resonance at 3 kHz with 2 % of the gain at rest is no delay, and a loop has one sample of delay at least."""
+    f = np.linspace(20.0, 4800.0, 240)
+    resonance = 1.0 / (1.0 - (f / 3000.0) ** 2 + 0.04j * (f / 3000.0))
+    response = (1.0 - size + size * resonance) * np.exp(-2j * np.pi * f * late * STEP)
+    values, left = stage_identification._axis_model(FrequencyResponse(f, response[:, None, None], STEP), STEP)
+    assert ("model.dynamics.A" in values) == (size > 0.0) and (left < 1.0 or not late)
+    if not size:
+        assert values["model.dynamics.delay"] == pytest.approx(max(late, 1) * STEP, rel=1e-12)
+
+
 def response_error(found) -> float:
     """Return the RMS error of the linear part of an identified stage against the plant, up to 1 kHz [m/V]."""
     frequency = found.responses[0].response.frequency
@@ -262,13 +275,16 @@ def test_a_measured_response_matrix_replaces_that_of_a_noisy_recording(tmp_path)
 
 def test_a_response_matrix_of_another_stage_is_refused(tmp_path):
     reading = recorded(excitation())
-    for number, (axes, step) in enumerate(((("x", "z"), STEP), (("x", "y"), 2.0 * STEP))):
+    others = ((("x", "z"), STEP), (("x", "y"), 2.0 * STEP), (("x", "y"), 0.5 * STEP), (("y", "x"), STEP))
+    for number, (axes, step) in enumerate(others):
         other = replace(reading, axes=axes, sample_time=step)
         save_stage_response(tmp_path / f"{number}.npz", recorded_stage_response(other))
     request = StageRequest(order=4, controller="none")
     for changes, words in (
         ({"response": tmp_path / "0.npz"}, "0.npz: is of the axes x, z, but the recording has x, y; measure"),
         ({"response": tmp_path / "1.npz"}, "1.npz: was measured at 5000 Hz, but the recording has 10000 Hz"),
+        ({"response": tmp_path / "2.npz"}, "2.npz: was measured at 20000 Hz, but the recording has 10000 Hz"),
+        ({"response": tmp_path / "3.npz"}, "3.npz: is of the axes y, x, but the recording has x, y; measure"),
         ({"response": tmp_path / "0.npz", "type": "internal"}, "not to a response matrix: omit --response"),
     ):
         with pytest.raises(IdentificationError, match=words):

@@ -73,6 +73,20 @@ def test_from_rest_the_way_to_the_initial_setpoint_keeps_the_limits(low, high, b
     assert once[0] == pytest.approx(jumps.simulate([there])[0]) and again[0] == pytest.approx(begins, abs=1e-4 * TS)
 
 
+@pytest.mark.parametrize("shaping", [{}, {"shaping.type": "zvd", "shaping.frequency": 50.0}], ids=["plain", "shaped"])
+@pytest.mark.parametrize(("low", "high"), [(-1e-5, 3e-5), (2e-6, 3e-5), (-3e-5, -4e-6)])
+def test_a_waveform_that_waits_for_its_start_moves_from_rest_as_an_axis_without_a_waveform(low, high, shaping):
+    there = 0.5 * (low + high)
+    rest = {"minimum": low, "maximum": high, "initial_setpoint": there, "approach.from_rest": True}
+    plain, waiting = build(LIMITED, rest, shaping), build(LIMITED, rest, shaping, SINE)
+    waiting.wait_for_start()
+    assert waiting.moving and waiting.waits and not waiting.unasked
+    way = waiting.simulate(np.full(1000, there))
+    assert waiting.waits and (not waiting.moving or shaping)
+    assert np.array_equal(way, plain.simulate(np.full(1000, there)))
+    assert abs(way[0] - there) > 1e-6 and way[-1] == pytest.approx(there, abs=1e-18)
+
+
 @pytest.mark.parametrize("shape", ["steps", "square", "staircase"])
 def test_with_approach_steps_a_waveform_keeps_the_limits_and_arrives(shape):
     levels = {"waveform.steps.values": [2e-6, 9e-6, 4e-6], "waveform.steps.times": [0.0, 0.3, 0.7]}
