@@ -10,6 +10,7 @@
 """The initial state of a recording, outliers, and structures that must predict held-out parts."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -279,6 +280,45 @@ def test_auto_fits_models_that_are_behind_on_the_first_block_to_one_block_only(m
     # the model with the stated prior is always completed, and no model sees the block that it predicts
     assert [name for name, start in fitted if start].count("prandtl_ishlinskii") == 1
     assert errors["polynomial"] == pytest.approx(first if blocks == 1 else np.sqrt((first**2 + 0.01) / 2.0))
+
+
+def test_held_out_errors_are_those_within_the_range_of_the_fit_without_their_mean(monkeypatch):
+    """Fitted from 20 V to 60 V; the held-out samples are at 10 V, 30 V and 70 V, with 2 µm of a constant."""
+    voltage = np.concatenate([np.tile([20.0, 60.0], 50), np.repeat([10.0, 30.0, 70.0], 60)])
+    error = np.concatenate([np.zeros(100), np.full(60, 1.0), 2e-6 + 3e-9 * (-1.0) ** np.arange(60), np.full(60, 1.0)])
+    monkeypatch.setattr(
+        workflow.registry, "identify", lambda *_, **__: SimpleNamespace(chain=None, numbers={"ambiguity_rms_m": 4e-9})
+    )
+    monkeypatch.setattr(workflow, "predict", lambda chain, voltage, step, measured: 1e-7 * voltage)
+    whole = data(voltage, 1e-7 * voltage + error)
+    squares, ambiguity = workflow.held_out_squares(whole, "preisach", slice(0, 100), slice(100, None))
+    np.testing.assert_allclose(squares, np.full(60, 9e-18), rtol=1e-6)
+    assert ambiguity == 4e-9
+
+
+def test_auto_compares_each_model_on_both_ends_of_the_recording_and_drops_those_that_fail(monkeypatch):
+    """Each part is two thirds; no model sees what it predicts, nor predicts before the past is wiped out."""
+    names, asked = ("prandtl_ishlinskii", "preisach", "polynomial", "bouc_wen", "generalised_play"), []
+    whole = data(DECAYING, recorded(DECAYING))
+    count, edge, known = len(whole), round(len(whole) / 3), wiped_out(whole.input)
+    assert 0 < known < edge
+
+    def squares(given, name, part, rest, **request):
+        asked.append((name, part.start, part.stop, *rest.indices(count)[:2]))
+        first = part.start == 0
+        if (name, first) in (("preisach", True), ("bouc_wen", False)):
+            raise IdentificationError("does not fit")
+        # too few samples of one model to be compared, and an ambiguity on the first block only
+        size = 49 if name == "generalised_play" else 100
+        return np.full(size, {"polynomial": 0.9, "prandtl_ishlinskii": 1.0}.get(name, 0.8) ** 2), float(first)
+
+    monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in names})
+    monkeypatch.setattr(workflow, "held_out_squares", squares)
+    chosen, errors = workflow.choose_model(whole, None)
+    assert set(asked[: len(names)]) == {(name, 0, count - edge, count - edge, count) for name in names}
+    assert set(asked[len(names) :]) == {(name, edge, count, known, edge) for name in names if name != "preisach"}
+    assert errors == pytest.approx({"prandtl_ishlinskii": 1.0, "polynomial": 0.9})
+    assert chosen == "prandtl_ishlinskii", "its ambiguity on one block is enough"
 
 
 @pytest.mark.parametrize(
