@@ -23,9 +23,10 @@ from hysteresis_ros.designs import trials as learn
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.designs.trials import Belief, CoupledLearning, Loops, applied, possible_loops, trial
 from hysteresis_ros.errors import ConfigurationError, RecordingError
-from hysteresis_ros.loop.stage_response import stage_response
+from hysteresis_ros.loop.stage_response import scanned_paths, stage_response
 from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.models.linear import zero_order_hold
+from hysteresis_ros.recordings.dataset import Recording
 
 ANGLES = np.array([1e-3, 0.05, 0.3, 0.44, 0.5, 1.0, 2.5])
 CERTAIN = Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.0, delay=0.0, draws=2)
@@ -153,6 +154,41 @@ def test_a_run_that_begins_at_rest_is_judged_from_the_first_whole_period_of_its_
     short = simulate_stage(parameters, duration=3.0 * parameters.scan.period)
     with pytest.raises(RecordingError, match="is not the scan of the configuration"):
         trial(parameters, short, np.zeros((2, period)))
+
+
+@pytest.mark.parametrize("late", ["x", "y"])
+def test_periods_of_a_run_count_from_where_every_axis_follows_its_scan(late):
+    """One axis needs two periods from rest, the other one; then the error of period j is j nm."""
+    parameters = stage(*SPIRAL)
+    axes = []
+    for axis in parameters.axes:
+        own = axis.reference_generator
+        axes.append(replace(axis, reference_generator=replace(own, approach=replace(own.approach, from_rest=True))))
+    resting = replace(parameters, axes=tuple(axes))
+    paths = scanned_paths(parameters)
+    period, none = paths.shape[1], np.zeros(paths.shape)
+
+    def run(count, away):
+        """Return a run whose reference is 0.1 µm below the scan in some periods."""
+        signals = {}
+        for name, axis, path in zip(parameters.names, parameters.axes, paths, strict=True):
+            table = np.tile(axis.generator.initial_setpoint + path, (count, 1))
+            table[away[name]] -= 1e-7
+            signals[f"{name}/reference"] = table.ravel()
+            signals[f"{name}/measured"] = (table - 1e-9 * np.arange(count)[:, np.newaxis]).ravel()
+        time = np.arange(count * period) / parameters.sample_rate
+        return Recording(time, signals, dict.fromkeys(signals, "m"))
+
+    away = {name: [0, 1] if name == late else [0] for name in parameters.names}
+    np.testing.assert_allclose(trial(resting, run(6, away), none).error, 3.5e-9, rtol=1e-6)
+    refused = (
+        (resting, run(3, away)),  # one whole period is left
+        (parameters, run(6, away)),  # it does not begin at rest
+        (resting, run(6, away | {late: [0, 1, 4]})),
+    )
+    for given, short in refused:
+        with pytest.raises(RecordingError, match=f"{late}/reference is not the scan of the configuration"):
+            trial(given, short, none)
 
 
 def test_what_cannot_be_learned_together_is_said(tmp_path):
