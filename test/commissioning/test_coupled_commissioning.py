@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from commissioning_support import Willing
 
 from hysteresis_ros.cli.commissioning import coupled_fitting as fitting
+from hysteresis_ros.cli.commissioning import coupled_loops as loops
 from hysteresis_ros.cli.commissioning.bench import Bench, OfflineBench, require_sound
 from hysteresis_ros.cli.commissioning.closed_loop import SCANNED
 from hysteresis_ros.cli.commissioning.coupled import DESIGNED, StageSituation, plans_of
@@ -511,6 +512,135 @@ def test_what_repeats_is_told_from_noise():
         5e-9 / np.sqrt(10.0), rel=0.1
     )
     assert repeated(np.tile(wave, 10), period) == (pytest.approx(1e-9 / np.sqrt(2.0)), pytest.approx(0.0, abs=1e-15))
+
+
+def metres(time, **signals) -> Recording:
+    """Return a recording of displacements, by ``axis_signal``."""
+    named = {name.replace("_", "/"): values for name, values in signals.items()}
+    return Recording(time, named, dict.fromkeys(named, "m"))
+
+
+def closed_loops(monkeypatch, **found):
+    """Return a situation of axes with these ranges, which follow triangles of 3 µm and 5 µm at 50 Hz."""
+    monkeypatch.setattr(loops, "ranges", lambda _: found)
+    plans = {
+        name: SimpleNamespace(scan_stroke=size, scan_frequency=50.0)
+        for name, size in zip(found, (3e-6, 5e-6), strict=False)
+    }
+    return SimpleNamespace(rate=1000.0, plans=plans, names=tuple(found))
+
+
+def test_scans_have_the_size_of_their_axis_about_the_middle_of_its_range(monkeypatch):
+    """Also where the ranges of the axes are equal; meanwhile the other axis holds."""
+    situation = closed_loops(monkeypatch, x=Range(2e-6, 12e-6, 1e-6), y=Range(2e-6, 12e-6, 1e-6))
+    found = loops.scans(situation)
+    np.testing.assert_array_equal(found.references[[0, -1]], 1e-6)
+    for place, (name, size) in enumerate((("x", 3e-6), ("y", 5e-6))):
+        part = found.references[found.spans[name]]
+        scanned = part[1000:-1000, place].reshape(13, 20)  # after way and hold, 0.5 s each
+        np.testing.assert_allclose(scanned, scanned[:1].repeat(13, axis=0), atol=1e-15)
+        assert (scanned.min(), scanned.max()) == pytest.approx((7e-6 - 0.5 * size, 7e-6 + 0.5 * size))
+        np.testing.assert_allclose(np.abs(np.diff(part[999:-1000, place])), 2.0 * size / 20, rtol=1e-6)
+        np.testing.assert_allclose(part[:, 1 - place], 7e-6, rtol=1e-12)
+        np.testing.assert_allclose(part[-1], 7e-6, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("low", "high", "far"), [(-2e-6, 8e-6, 8e-6), (-8e-6, 2e-6, -8e-6)])
+def test_steps_go_towards_the_end_of_the_range_that_is_farther_from_rest(monkeypatch, low, high, far):
+    situation = closed_loops(monkeypatch, x=Range(low, high, 0.0), y=Range(-1e-6, 4e-6, 0.0))
+    found = loops.steps(situation)
+    held = found.references[found.spans["x"]].reshape(4, 550, 2)[:, 50:]  # a way of 50 ms, and a hold
+    np.testing.assert_allclose(held[:, :, 0], far * np.array([[0.2], [0.3], [0.2], [0.1]]) * np.ones(500), rtol=1e-9)
+    np.testing.assert_allclose(held[:, :, 1], 0.1 * 4e-6, rtol=1e-12)
+
+
+def test_all_axes_together_are_judged_over_whole_sines_of_full_amplitude(monkeypatch):
+    """Of 50 Hz and 75 Hz, about the middle of each range, as large as the scans."""
+    situation = closed_loops(monkeypatch, x=Range(2e-6, 12e-6, 1e-6), y=Range(-3e-6, 9e-6, 0.0))
+    references, judged = loops.together(situation)
+    assert judged.stop - judged.start == 4 * 40
+    turns = 2.0 * np.pi * np.arange(160) / 1000.0
+    expected = [7e-6 + 1.5e-6 * np.sin(50.0 * turns), 3e-6 + 2.5e-6 * np.sin(75.0 * turns)]
+    np.testing.assert_allclose(references[judged], np.array(expected).T, atol=1e-12)
+    np.testing.assert_allclose(references[[0, -1]], [[1e-6, 0.0]] * 2, atol=1e-18)
+
+
+def judged_loop(monkeypatch, left, predicted, moved=0.0):
+    """Judge steps of x by 1 µm after which these errors are left [m]; y moves by ``moved`` meanwhile."""
+    situation = closed_loops(monkeypatch, x=Range(0.0, 10e-6, 0.0), y=Range(0.0, 10e-6, 0.0))
+    excursion = loops.steps(situation)
+    begin, errors = excursion.spans["x"].start, {}
+    for run, size in (("measured", left), ("predicted", predicted)):
+        errors[run] = {name: np.zeros(len(excursion.references)) for name in "xy"}
+        # in the last tenth of a second of the second step, and ten times as much before
+        errors[run]["x"][begin + 550 : begin + 1100] = 10.0 * size
+        errors[run]["x"][begin + 1000 : begin + 1100] = size * (-1.0) ** np.arange(100)
+    errors["measured"]["y"][begin + 10] = moved
+    x, y = excursion.references.T
+    measured = metres(np.arange(len(x)) / 1000.0, x_reference=x, y_reference=y)
+    monkeypatch.setattr(loops, "predicted", lambda *_: "predicted")
+    monkeypatch.setattr(loops, "errors_of", lambda _, run: errors["predicted" if run == "predicted" else "measured"])
+    return loops.judge_loop(situation, measured)
+
+
+def test_a_loop_of_a_stage_may_leave_six_times_its_prediction_or_a_twentieth_of_the_step(monkeypatch):
+    for left, predicted in ((49e-9, 0.0), (590e-9, 100e-9)):
+        figures = judged_loop(monkeypatch, left, predicted).figures["x"]
+        assert figures["rest_rms_m"] == pytest.approx(left) and figures["predicted_rest_rms_m"] == pytest.approx(
+            predicted
+        )
+    for left, predicted in ((51e-9, 0.0), (70e-9, 7e-9), (610e-9, 100e-9)):
+        with pytest.raises(CommissioningError, match="axis x: does not settle after a step of x by 1 µm"):
+            judged_loop(monkeypatch, left, predicted)
+    assert judged_loop(monkeypatch, 0.0, 0.0, 0.24e-6).figures["x"]["moves_y_m"] == pytest.approx(0.24e-6)
+    with pytest.raises(CommissioningError, match="axis y: moves by 0.26 µm while x steps by 1 µm"):
+        judged_loop(monkeypatch, 0.0, 0.0, 0.26e-6)
+
+
+def test_the_scan_of_an_axis_is_judged_in_its_last_ten_periods(monkeypatch):
+    """Before and after them the error is ten times larger; the other axis moves by 1.4 nm RMS."""
+    situation = closed_loops(monkeypatch, x=Range(2e-6, 12e-6, 1e-6), y=Range(2e-6, 12e-6, 1e-6))
+    excursion, errors = loops.scans(situation), {}
+    for run, size in (("measured", 1.4e-8), ("predicted", 1e-8)):
+        errors[run] = {name: 10.0 * size * np.ones(len(excursion.references)) for name in "xy"}
+        for place, name in enumerate("xy"):
+            begin = excursion.spans[name].start + 1000 + 3 * 20
+            errors[run][name][begin : begin + 200] = size * (1 + place)
+            wave = np.sqrt(2.0) * np.sin(2.0 * np.pi * np.arange(200) / 20)
+            errors[run]["yx"[place]][begin : begin + 200] = 0.1 * size * wave
+    run = metres(np.arange(len(excursion.references)) / 1000.0, x_reference=excursion.references[:, 0])
+    monkeypatch.setattr(loops, "predicted", lambda *_: "predicted")
+    monkeypatch.setattr(loops, "errors_of", lambda _, run: errors["predicted" if run == "predicted" else "measured"])
+    found = loops.judge_scan(situation, run).figures
+    for place, (name, other) in enumerate(("xy", "yx")):
+        assert found[name]["rms_error_m"] == pytest.approx(1.4e-8 * (1 + place))
+        assert found[name]["predicted_rms_m"] == pytest.approx(1e-8 * (1 + place))
+        assert found[name]["ratio"] == pytest.approx(1.4) and found["as_predicted"]
+        assert found[name][f"coupling_{other}_rms_m"] == pytest.approx(1.4e-9)
+        assert found[name][f"predicted_coupling_{other}_rms_m"] == pytest.approx(1e-9)
+
+
+def test_the_error_of_an_axis_is_against_its_late_reference_and_without_the_zero_of_its_sensor(tmp_path, monkeypatch):
+    configuration = load_configuration(written(tmp_path)).override(
+        "motion_controller",
+        **{
+            "feedforward.type": "static",
+            "feedforward.preview": 3,
+            "model.preload.force": 2.0,
+            "model.preload.A1": 1e-6,
+        },
+    )
+    monkeypatch.setattr(loops, "designed", lambda _: configuration)
+    parameters = StageParameters.from_configuration(configuration)
+    zero = parameters.axes[0].motion_controller.model.preload.offset
+    reference = 1e-6 * np.arange(20.0)
+    late = np.maximum(reference - 3e-6, 0.0)
+    measured = late - 4e-9 + zero
+    both = {"x_reference": reference, "x_measured": measured, "y_reference": reference, "y_measured": measured}
+    errors = loops.errors_of(sitting(tmp_path), metres(np.arange(20) * 1e-4, **both))
+    assert abs(zero) > 1e-7
+    for name in "xy":
+        np.testing.assert_allclose(errors[name], 4e-9, rtol=1e-6)
 
 
 REFUSED = {

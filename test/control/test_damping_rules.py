@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -218,6 +219,51 @@ def test_a_search_of_irc_has_feedback_of_both_signs_and_leaves_a_gain_margin():
         for place in feedback[:2]:
             found = IRC.filter(IRC.chosen((place, slow), mode), T)
             assert found.stable and found.dc_gain * mode.gain == pytest.approx(place, rel=1e-2)
+
+
+def corners(box):
+    """Return the middle and all corners of a box of a search."""
+    low, high = np.array([(one, other) for one, other, _ in box]).T
+    return [np.sign(low) * np.sqrt(low * high), *itertools.product(*zip(low, high, strict=True))]
+
+
+def test_points_of_a_search_are_filters_relative_to_the_mode_and_its_gains():
+    """By the closed forms, for a mode of 500 Hz with 2 m/m and 3 MN/m; the feedback at rest leaves 6 dB."""
+    mode = Mode(500.0, 0.01, 2.0, 3e6)
+    signs = {}
+    for kind in ("ppf", "iff", "notch"):
+        boxes = KINDS[kind].ranges(mode)
+        signs[kind] = [np.sign(one[0][0]) for one in boxes]
+        for box, point in [(one, point) for one in boxes for point in corners(one)]:
+            found = KINDS[kind].filter(KINDS[kind].chosen(point, mode), T)
+            if kind == "ppf":
+                gain, frequency, damping = point
+                assert box[1][0] < mode.frequency < box[1][1] and gain < 0.5
+                assert found.dc_gain * mode.gain == pytest.approx(gain, rel=1e-3)
+                expected = gain / mode.gain / (2j * damping)
+            elif kind == "iff":
+                gain, corner = point
+                assert box[1][0] < 1.0 < box[1][1]
+                frequency, expected = mode.frequency, -1j * gain / (1j + corner) ** 2 / mode.force
+                assert abs(found.dc_gain) < 1e-9 * abs(expected), "a force at rest has no effect"
+            else:
+                frequency, damping, width = point
+                assert box[0][0] < mode.frequency < box[0][1] and box[1][0] <= mode.damping
+                assert found.dc_gain == pytest.approx(1.0, rel=1e-9)
+                expected = damping / width
+            reached = found.response(np.exp(2j * np.pi * np.array([frequency]) * T))[0, 0, 0]
+            assert reached == pytest.approx(expected, rel=2e-2), (kind, point)
+    # feedback with the opposite sign damps where the delay is long; a notch has no sign
+    assert signs == {"ppf": [1.0, -1.0], "iff": [1.0, -1.0], "notch": [1.0]}
+
+
+@pytest.mark.parametrize(("kind", "beside", "most"), [("notch", "width", 4), ("ppf", "gains", 2)])
+def test_a_chain_of_filters_has_its_largest_number(kind, beside, most):
+    def given(count):
+        values = {"frequencies": (700.0,) * count, "damping": (0.1,) * count, beside: (0.1,) * count}
+        return [problem.name for problem in KINDS[kind].parameters(**values).check()]
+
+    assert given(most) == [] and given(0) == given(most + 1) == ["frequencies"]
 
 
 def test_a_damping_of_little_use_is_warned_of_and_another_is_not():

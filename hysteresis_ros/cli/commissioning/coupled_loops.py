@@ -105,7 +105,7 @@ def ranges(situation: StageSituation) -> dict[str, Range]:
 
 
 def in_turn(
-    situation: StageSituation, base: Callable[[Range], float], own: Callable[[Range, float], np.ndarray]
+    situation: StageSituation, base: Callable[[Range], float], own: Callable[[str, Range, float], np.ndarray]
 ) -> Excursion:
     """Return the way of all axes to their bases, the own path of one after the other, and the way back."""
     found, rate, spans = ranges(situation), situation.rate, {}
@@ -119,7 +119,7 @@ def in_turn(
     parts = [still[0], together(rests, places), still[1]]
     count = sum(len(part) for part in parts)
     for place, (name, one) in enumerate(found.items()):
-        path = own(one, places[name])
+        path = own(name, one, places[name])
         table = np.tile(list(places.values()), (len(path), 1))
         table[:, place] = path
         parts.append(table)
@@ -155,7 +155,7 @@ def steps(situation: StageSituation) -> Excursion:
     """Return the setpoints of small steps, one axis after the other."""
     rate = situation.rate
 
-    def own(one: Range, place: float) -> np.ndarray:
+    def own(_: str, one: Range, place: float) -> np.ndarray:
         parts, at = [], place
         for target in [*(one.rest + part * (one.far - one.rest) for part in STEPS), place]:
             parts += [way(at, target, STEP_WAY, rate), hold(target, STEP_HOLD, rate)]
@@ -238,12 +238,12 @@ def scan_period(situation: StageSituation) -> int:
 def scans(situation: StageSituation) -> Excursion:
     """Return triangles of one axis after the other, about the middle of its range."""
     period, rate = scan_period(situation), situation.rate
-    sizes = {one: scan_size(situation, name, one) for name, one in ranges(situation).items()}
 
-    def own(one: Range, place: float) -> np.ndarray:
-        begin = place - 0.5 * sizes[one]
+    def own(name: str, one: Range, place: float) -> np.ndarray:
+        size = scan_size(situation, name, one)
+        begin = place - 0.5 * size
         phase = np.arange(1, (UNJUDGED_PERIODS + JUDGED_PERIODS) * period + 1) / period
-        triangle = begin + sizes[one] * 2.0 * np.abs(phase - np.round(phase))
+        triangle = begin + size * 2.0 * np.abs(phase - np.round(phase))
         parts = [way(place, begin, STEP_HOLD, rate), hold(begin, STEP_HOLD, rate), triangle]
         return np.concatenate([*parts, way(begin, place, STEP_HOLD, rate), hold(place, STEP_HOLD, rate)])
 
