@@ -201,10 +201,12 @@ def test_what_was_carried_out_is_heard_as_the_output_that_would_have_led_to_it(k
         ("ppf", {"frequencies": (900.0, 10000.0)}, r"damping\.ppf\.frequencies = .*half the sample rate, 10000 Hz"),
         ("ppf", {"frequencies": ()}, r"ppf\.frequencies = .*1 … 2 numbers"),
         ("ppf", {"damping": (0.4,)}, r"ppf\.damping = .*2 numbers"),
+        ("ppf", {"gains": (0.2,)}, r"ppf\.gains = .*2 numbers"),
         ("iff", {"gain": 3e-3}, r"damping\.iff = .*inner loop is unstable.*largest pole 1\.\d+"),
         ("iff", {"gain": 0.0}, r"iff\.gain = 0.*must not be 0"),
         ("iff", {"force": ForceParameters()}, r"model\.force\.stack_stiffness = 0.*missing force joint"),
         ("notch", {"frequencies": (700.0, 12000.0)}, r"damping\.notch\.frequencies = .*half the sample rate"),
+        ("notch", {"damping": (0.01,)}, r"notch\.damping = .*2 numbers"),
         ("notch", {"width": (0.5,)}, r"notch\.width = .*2 numbers"),
     ],
 )

@@ -112,6 +112,11 @@ def test_a_sensor_is_frozen_after_so_many_repetitions_and_free_with_the_next_oth
     assert not np.isnan(accepted(values, frozen=0)[0]).any()
 
 
+def test_equal_values_with_a_spike_between_them_are_no_frozen_sensor():
+    got, *_ = accepted([1.0, 9.0, 1.0, 1.0, 1.0], spike=1.0, confirm=3, frozen=2)
+    np.testing.assert_array_equal(np.flatnonzero(~np.isnan(got)), [0, 2, 3])
+
+
 def test_a_frozen_sensor_goes_stale_and_stays_so_while_it_is_frozen():
     _, stale, _ = accepted([1.0] * 20 + [1.1], frozen=4, timeout=5)
     np.testing.assert_array_equal(np.flatnonzero(stale), range(8, 20))
@@ -251,6 +256,10 @@ def test_below_the_least_voltage_it_waits_and_slews_down_when_it_may():
         least = x[watch.HELD] if k < 3 else -INF
         out.append(watch.hold_voltage(p, x, 1.0, 0.0, least))
     np.testing.assert_allclose(out, [10, 10, 10, 8, 6, 4, 2, 1, 1, 1])
+    # towards a least voltage below the output it moves by steps too, however fast the received voltage is
+    quick = watch.hold_state(10.0)
+    found = [watch.hold_voltage(p, quick, voltage, 0.0, 5.0) for voltage in (10.0, 0.0, 0.0)]
+    np.testing.assert_allclose(found, [10, 8, 6])
     assert watch.least_beside(x, watch.hold_state(5.0)) == -INF
     waiting = watch.hold_state(5.0)
     waiting[watch.GIVEN] = 6.0

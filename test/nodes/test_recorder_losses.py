@@ -23,8 +23,12 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from rclpy.serialization import serialize_message  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
 
+from hysteresis_ros.errors import RecordingError  # noqa: E402
 from hysteresis_ros.loop.pacing import Samples  # noqa: E402
+from hysteresis_ros.nodes import recorder as recording  # noqa: E402
 from hysteresis_ros.nodes.recorder import STRIDE, RecorderNode  # noqa: E402
+from hysteresis_ros.recordings.run_bag import CHUNK_TIME  # noqa: E402
+from hysteresis_ros.signals import ENDED  # noqa: E402
 
 
 class Written:
@@ -79,7 +83,7 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
     said, written = [], Written()
     plant = SimpleNamespace(
         stamps=SimpleNamespace(of_all=lambda numbers: numbers),
-        parameters=SimpleNamespace(preload=SimpleNamespace(force=0.0)),
+        parameters=SimpleNamespace(preload=SimpleNamespace(force=2.5)),
     )
     recorder = SimpleNamespace(
         _reader=SimpleNamespace(take=lambda: taken),
@@ -94,7 +98,7 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
         warn=lambda key, text, **how: said.append((text, how)),
     )
     RecorderNode.take_samples(recorder)
-    assert written.samples == list(range(10 + lost, 15 + lost))
+    assert written.samples == list(range(10 + lost, 15 + lost)) and written.force == 2.5
     # 15 were run before and together with these; the lost samples are not in the bag
     assert recorder._counts == [15, 15]
     assert len(said) == (1 if lost else 0)
@@ -329,3 +333,148 @@ def test_a_chunk_is_open_no_longer_than_its_time(tmp_path):
         bag = RecorderNode.open_bag(recorder, parameters)
         assert 0.0 < bag._flush_time + period <= chunk_time + 1e-12
         bag.finish()
+
+
+@pytest.mark.parametrize(("chunk_time", "period"), [(2.0, 0.1), (0.1, 0.05)])
+def test_the_bag_is_looked_at_ten_times_a_second_and_twice_in_a_chunk(chunk_time, period):
+    recorder = SimpleNamespace(parameters=SimpleNamespace(chunk_time=chunk_time))
+    assert RecorderNode._period.fget(recorder) == pytest.approx(period)
+
+
+def test_a_bag_is_split_by_size_and_duration_and_needs_its_space_before_it_begins(tmp_path, monkeypatch):
+    values = {"path": str(tmp_path / "bag"), "min_space": 0, "max_bag_size": 4_000_000, "max_bag_duration": 30.0}
+    parameters, made = SimpleNamespace(**values, chunk_time=1.0), []
+
+    def bag(path, **split):
+        made.append((path, split))
+        return SimpleNamespace(describe=lambda *given: None)
+
+    monkeypatch.setattr(recording, "BagWriter", bag)
+    monkeypatch.setattr(recording, "GuardedBag", lambda bag, flush_time: bag)
+    recorder = SimpleNamespace(described=(), _configuration="", _period=0.1)
+    RecorderNode.open_bag(recorder, parameters)
+    assert made == [(parameters.path, {"max_bag_size": 4_000_000, "max_bag_duration": 30.0})]
+    parameters.min_space = 10**18
+    with pytest.raises(RecordingError, match="less than min_space"):
+        RecorderNode.open_bag(recorder, parameters)
+    assert len(made) == 1, "nothing was created"
+
+
+@pytest.mark.parametrize("external", [False, True])
+def test_the_logs_that_a_recording_waits_for_are_those_of_nodes_that_write_one(external):
+    """An external plant has no change log and need not report its state; every build begins anew."""
+    recorder = SimpleNamespace(
+        get_namespace=lambda: "/",
+        _described=lambda source: None,
+        open_bag=lambda parameters: "bag",
+        reset_blocks=lambda: None,
+        _entries_taken={"motion_controller": 4},
+    )
+    values = {"configuration": "", "inchworm": False, "external_plant": external, "topics": ()}
+    RecorderNode.build(recorder, SimpleNamespace(**values))
+    nodes = {"plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator"}
+    assert recorder._loggers == nodes - ({"plant_simulator"} if external else set())
+    assert ("plant_simulator/state" in [topic for topic, *_ in recorder._topics]) is not external
+    assert recorder._entries_taken == {} and recorder.recording == "bag"
+
+
+def test_a_log_has_ended_with_its_last_entry_only():
+    recorder = SimpleNamespace(_arrived=False, _ended=set())
+    for text in ('{"node": "plant_simulator", "action": "stop"}', "no JSON", "[1, 2]"):
+        RecorderNode._note_change(recorder, text)
+    assert recorder._ended == set() and recorder._arrived
+    RecorderNode._note_change(recorder, f'{{"node": "plant_simulator", "action": "{ENDED}"}}')
+    assert recorder._ended == {"plant_simulator"}
+
+
+def test_each_change_of_a_loop_in_this_process_is_written_once():
+    """It is read from the logs of the nodes, and its message is ignored, unlike that of another process."""
+    logs = {"plant_simulator": ["{}"], "motion_controller": []}
+
+    def node(kind):
+        changes = SimpleNamespace(since=lambda count: (logs[kind][count:], len(logs[kind])))
+        return SimpleNamespace(kind=kind, changes=changes)
+
+    written, noted = [], []
+    bag = SimpleNamespace(write_string=lambda topic, text, stamp: written.append((topic, text)))
+    recorder = SimpleNamespace(
+        _takes_logs=True,
+        fused=SimpleNamespace(tell_changes=lambda: None, nodes={name: node(name) for name in logs}),
+        resolve_topic_name=lambda topic: f"/{topic}",
+        _entries_taken={},
+        _opened=SimpleNamespace(attempt=lambda what: what(bag)),
+        _note_change=noted.append,
+    )
+    for _ in range(2):
+        RecorderNode._take_changes(recorder)
+    assert written == [("/changes", "{}")] and noted == ["{}"]
+    logs["motion_controller"].append("[]")
+    logs["plant_simulator"].append("{ }")
+    RecorderNode._take_changes(recorder)
+    assert [text for _, text in written] == ["{}", "{ }", "[]"] == noted
+
+    def is_taken(text):
+        return RecorderNode._is_taken(recorder, serialize_message(String(data=text)))
+
+    assert is_taken('{"node": "plant_simulator"}') and not is_taken('{"node": "elsewhere"}') and not is_taken("no JSON")
+    received, kept = [], []
+    recorder.subscriber = lambda kind, topic, write, *given, **more: (
+        received.append(write) or SimpleNamespace(topic_name=topic)
+    )
+    recorder.recording = SimpleNamespace(attempt=lambda what: kept.append(what))
+    recorder._unfinished = SimpleNamespace(add_topic=lambda *given: None)
+    recorder._is_taken = lambda data: True
+    RecorderNode._record(recorder, "changes", String, None, "transient_local")
+    received[0](serialize_message(String(data="{}")))
+    assert kept == []
+
+
+def test_triggers_and_scan_edges_of_a_loop_are_written_while_the_run_lasts():
+    for recorded, active, running in itertools.product((False, True), repeat=3):
+        written = []
+        bag = SimpleNamespace(write_joint_state=lambda *given, kept=written: kept.append(given))
+        there = SimpleNamespace(attempt=lambda what, bag=bag: what(bag)) if recorded else None
+        recorder = SimpleNamespace(recording=there, active=active, running=running)
+        RecorderNode.write_message(recorder, "/triggers", 5, ("x",), [1.0])
+        assert written == ([("/triggers", 5, ("x",), [1.0])] if recorded and active and running else [])
+
+
+@pytest.mark.parametrize(("asked", "used"), [(0.5 * CHUNK_TIME, 0.5 * CHUNK_TIME), (10.0 * CHUNK_TIME, CHUNK_TIME)])
+def test_samples_of_a_loop_are_written_in_chunks_and_another_loop_begins_a_new_run(monkeypatch, asked, used):
+    begun = []
+    monkeypatch.setattr(recording, "AxisTopics", lambda *given: given)
+    monkeypatch.setattr(
+        recording,
+        "SampleWriter",
+        lambda bag, topics, chunk_time: SimpleNamespace(chunk_time=chunk_time, restart=lambda: begun.append(1)),
+    )
+    own = SimpleNamespace(sample_rate=1000.0, resting_effort=0.0, driver="")
+    plant = SimpleNamespace(parameters=own, joint_names=("x",), axis_kind=None)
+    recorder = SimpleNamespace(
+        _samples=None, bag="bag", get_namespace=lambda: "/", parameters=SimpleNamespace(chunk_time=asked)
+    )
+    for count in (0, 1, 2):
+        RecorderNode.record_loop(recorder, SimpleNamespace(plant=plant, reader=lambda count=count: count))
+        assert len(begun) == count == recorder._reader and recorder._samples.chunk_time == used
+
+
+@pytest.mark.parametrize("leaving", [True, False])
+def test_a_recording_ends_with_the_last_samples_and_its_failure_is_that_of_a_process_that_exits(leaving):
+    steps = []
+
+    def fail():
+        steps.append("finish")
+        raise RecordingError("the disk is full")
+
+    recorder = SimpleNamespace(
+        recording=SimpleNamespace(stopped=""),
+        bag="bag",
+        leaving=leaving,
+        failure="",
+        exit_code=0,
+        take_samples=lambda: steps.append("samples"),
+        finish_bag=fail,
+    )
+    RecorderNode.release(recorder)
+    assert steps == ["samples", "finish"] and recorder.recording.stopped == "the disk is full"
+    assert recorder.exit_code == int(leaving) and bool(recorder.failure) is leaving
