@@ -39,11 +39,12 @@ from hysteresis_ros.cli.commissioning.situation import (
 )
 from hysteresis_ros.cli.commissioning.stages import commission
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.recipes import SMALL
 
 #: Entries of the plan that make a commissioning short.
 SHORT = """
@@ -457,7 +458,7 @@ def test_loops_are_designed_for_the_noisiest_sensor_and_must_be_stable_together(
     kept = (situation.folder.path / COMMISSIONED).read_bytes()
     with pytest.raises(CommissioningError, match="each loop is stable alone, but all together are not"):
         fitting.design_coupled(situation)
-    assert heard == [7e-9]
+    assert heard == [7e-9] and not (situation.folder.path / COMMISSIONED).exists(), "a file is of its controllers"
     (situation.folder.path / COMMISSIONED).write_bytes(kept)
 
 
@@ -641,6 +642,51 @@ def test_the_error_of_an_axis_is_against_its_late_reference_and_without_the_zero
     assert abs(zero) > 1e-7
     for name in "xy":
         np.testing.assert_allclose(errors[name], 4e-9, rtol=1e-6)
+
+
+OWN = "\n/y/commissioning:\n  ros__parameters: {minimum: -20.0, maximum: 60.0, small: 0.05, noise_duration: 0.8}\n"
+
+
+def test_what_a_stage_announces_is_what_each_axis_does(tmp_path, monkeypatch):
+    """A twentieth of each range of voltages, 0.569 µm/V; y goes from -20 V to 60 V."""
+    situation = sitting(tmp_path, further=OWN)
+    words = {name: COUPLED_STAGES[name].words(situation) for name in ("gain", "resonance", "hysteresis")}
+    assert words["gain"] == (
+        "x: a step of +5 V from 0 V and back, about 2.847 µm; then y: a step of +4 V from 0 V and back, about 2.277 µm"
+    )
+    assert "; then y: slowly to 20 V and a multisine of ±4 V there" in words["resonance"]
+    assert "the whole range -20 … 60 V, about 45.55 µm, in 16 cycles" in words["hysteresis"]
+    closed = closed_loops(monkeypatch, x=Range(0.0, 10e-6, 0.0), y=Range(-20e-6, 2e-6, 0.0))
+    closed.controller = "pid"
+    assert (
+        COUPLED_STAGES["loop"]
+        .words(closed)
+        .endswith("(pid): steps of one axis after the other, at most x 2 µm, y 4 µm")
+    )
+    assert "13 triangles of one axis after the other at 50 Hz, x 3 µm, y 5 µm" in COUPLED_STAGES["scan"].words(closed)
+
+
+def test_the_sensors_are_read_for_the_longest_time_of_all_plans(tmp_path, monkeypatch):
+    situation, asked, resting = sitting(tmp_path, further=OWN), [], StageSituation.resting
+    monkeypatch.setattr(StageSituation, "resting", lambda own, seconds: asked.append(seconds) or resting(own, seconds))
+    noise_stage(situation)
+    assert asked == [0.8]
+
+
+def test_a_swing_is_predicted_from_the_size_of_the_small_multisine():
+    plans = {"x": SimpleNamespace(small=0.5 * SMALL), "y": SimpleNamespace(small=2.0 * SMALL)}
+    measured = {name: {"swing_m": 1e-7} for name in plans}
+    found = predicted_swings(SimpleNamespace(plans=plans, figures=lambda stage: measured), 3.0)
+    assert found == pytest.approx({"x": 6e-7, "y": 1.5e-7})
+
+
+def test_the_file_of_a_stage_keeps_the_plans_of_all_axes(tmp_path, monkeypatch):
+    situation = sitting(tmp_path, further=OWN)
+    monkeypatch.setattr(fitting, "closed_configuration", lambda *_, **__: load_configuration("xy_scanner"))
+    monkeypatch.setattr(fitting, "load_configuration", lambda _: situation.configuration)
+    found = parse_configuration(fitting.commissioned_text(situation), "stage")
+    assert dict(found.entries)["/y/commissioning"]["maximum"] == 60.0
+    assert dict(found.entries)[SECTION]["cycle_frequency"] == 100.0
 
 
 REFUSED = {

@@ -19,6 +19,8 @@ from foreign_plant import ForeignPlant
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import (
     MODES,
+    ModalSearch,
+    ModalStructure,
     choose_dynamics,
     fit_stage,
     in_series,
@@ -119,6 +121,19 @@ def test_half_of_a_95_percent_interval_has_the_unit_of_its_figure():
     assert half_widths(numbers, deviations) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_deviations_of_two_modes_are_named_by_their_frequencies_and_there_is_none_of_the_delay(turned):
+    """Whichever mode the search found first; the one with little damping and much motion is better known."""
+    part = LinearPart(delay=0.75 / RATE, modes=(Mode(150.0, 0.01, 0.6), Mode(480.0, 0.1, 0.4)), hold=1.0 / RATE)
+    given, noise = np.random.default_rng(1).standard_normal((2, 8000))
+    search = ModalSearch(segment_spectra(given, part.apply(given, 1.0 / RATE) + 0.01 * noise, 1.0 / RATE))
+    pairs = [np.log([150.0, 0.01]), np.log([480.0, 0.1])]
+    values = np.concatenate([[0.75], *(pairs[::-1] if turned else pairs)])
+    found = search.deviations(search.trial(ModalStructure(False, True, 2), values))
+    assert list(found) == ["mode_1_hz", "mode_1_damping", "mode_2_hz", "mode_2_damping"]
+    assert found["mode_1_hz"] < 0.2 * found["mode_2_hz"] and found["mode_2_damping"] < 0.1
+
+
 def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
     truth = {"lag": 1e-3, "delay": 0.75 / RATE, "mode_1_hz": 280.0, "mode_1_damping": 0.03}
     part = LinearPart(lag=1e-3, delay=0.75 / RATE, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)
@@ -130,6 +145,7 @@ def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
         errors.append([(numbers[name] - value) / stage.deviations[name] for name, value in truth.items()])
     errors = np.array(errors)
     assert np.all(np.abs(errors) < 3.0)
+    assert np.all(np.mean(errors**2, axis=0) > 0.1), "none of them is stated much too large"
     # below 1, because the shift by the window counts too; above 0.78 if neighbouring lines counted as independent
     assert 0.4 < np.mean(errors[:, :2] ** 2) < 0.78
 

@@ -23,6 +23,7 @@ from hysteresis_ros.identification.dynamics import (
     DAMPING_RANGE,
     LinearStage,
     TurnSearch,
+    _less_certain,
     choose_dynamics,
     fit_stage,
     modes_at_bounds,
@@ -224,6 +225,16 @@ def test_of_two_turns_the_better_one_is_kept(monkeypatch):
         voltage = loops_then_chirp(3.0)
         (kept,) = search(voltage, 1e-7 * voltage, lambda _, fits=fits: next(fits)).settled(Fit(5e-9))
         assert kept.rmse == 1e-9 and kept.deviations == {"mode_1_hz": 0.5}
+
+
+def test_the_changes_of_lag_and_delay_are_part_of_their_own_deviations():
+    sizes, then = {"lag": 3e-6, "delay": 5e-6}, {"lag_s": 1.004e-3}
+    stage = replace(RINGING, numbers={"lag_s": 1e-3, "delay_s": 2e-3}, deviations=sizes)
+    before = replace(RINGING, numbers=then | {"delay_s": 1.988e-3})
+    assert _less_certain(stage, before) == pytest.approx({"lag": 5e-6, "delay": 13e-6})
+    # nothing is known of a delay that the stage before did not have, nor of a stage before the first one
+    assert _less_certain(stage, replace(RINGING, numbers=then)) == pytest.approx({"lag": 5e-6, "delay": 5e-6})
+    assert _less_certain(stage, None) == pytest.approx(sizes)
 
 
 def test_the_change_of_a_mode_from_turn_to_turn_is_part_of_its_deviation(monkeypatch):
