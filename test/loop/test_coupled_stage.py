@@ -37,13 +37,15 @@ from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_p
 from hysteresis_ros.designs.stage_feedforward import design_stage_feedforward
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.controller import RETURNING, STOP
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import BEYOND_TRAVEL, PARTNER_LOST
-from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage import WITH_STAGE, Stage, hold_with_stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage, stage_differences
 from hysteresis_ros.loop.watch import RUNNING, STALE, STOPPED
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.sensor import MEASURED
 
 
 def bits(values) -> np.ndarray:
@@ -323,6 +325,7 @@ def test_a_run_in_pieces_and_a_run_after_a_reset_have_the_bits_of_the_run(feeds)
     setpoints = one.default_setpoints(900)
     whole = one.run(setpoints)
     one.reset()
+    assert not np.any(one.group.commands), "a command that is missing in the first sample counts as 0 again"
     pieces = [
         one.run({name: values[part] for name, values in setpoints.items()}) for part in (slice(400), slice(400, 900))
     ]
@@ -493,6 +496,39 @@ def test_a_change_of_one_axis_takes_effect_at_its_sample():
         one.run(setpoints, {"y": [Change(5, "motion_controller", "stop", after="measured")]})
 
 
+def test_changes_of_several_axes_take_effect_in_the_order_of_their_samples():
+    """Samples count from the beginning of the first of three runs."""
+    one, samples = stage(), {"x": 40, "y": 20}
+    changes = {name: [Change(30 + sample, "motion_controller", "stop")] for name, sample in samples.items()}
+    for count in (10, 20):
+        one.run(one.default_setpoints(count))
+    found = one.run(one.default_setpoints(60), changes)
+    assert found["x"]["time"][0] == pytest.approx(30 * SAMPLE_TIME)
+    for name, sample in samples.items():
+        assert np.flatnonzero(found[name]["controller_mode"] == STOPPED)[0] == sample
+
+
+def test_a_controller_that_stopped_with_its_stage_returns_and_one_that_a_user_stopped_does_not():
+    own = np.zeros(32)
+    hold_with_stage(own, 1.0)
+    assert own[STOP] == WITH_STAGE and own[RETURNING] == 0.0
+    hold_with_stage(own, 0.0)
+    assert own[STOP] == 0.0 and own[RETURNING] == 1.0
+    own[:] = 0.0
+    own[STOP] = 1.0
+    for held in (1.0, 0.0):
+        hold_with_stage(own, held)
+        assert own[STOP] == 1.0 and own[RETURNING] == 0.0
+
+
+def test_each_plant_trips_at_the_travel_of_its_own_axis():
+    one = stage()
+    travel = one.parameters.travel()
+    assert abs(travel[0][1] - travel[1][1]) > 1e-6
+    for plant, own in zip(one.plants, travel, strict=True):
+        assert plant.travel == tuple(own)
+
+
 def test_setpoints_go_by_the_names_of_all_axes():
     one = stage()
     with pytest.raises(ConfigurationError, match="setpoints are given for x: give them for x, y"):
@@ -530,10 +566,15 @@ def test_before_the_first_sample_a_preloaded_stage_is_where_the_first_sample_fin
     volts = {"limits__minimum": 20.0, "safe_voltage": 20.0}
     one = linear_stage(nodes=volts, decoupling=[]).parameters
     plants = [axis.plant_simulator for axis in one.axes]
-    plants = [replace(plant, preload=replace(plant.preload, A1=3e-6)) for plant in plants]
+    plants = [
+        replace(plant, preload=replace(plant.preload, A1=3e-6), sensor=replace(plant.sensor, offset=2e-6))
+        for plant in plants
+    ]
     axes = tuple(replace(axis, plant_simulator=plant) for axis, plant in zip(one.axes, plants, strict=True))
     one = Stage(replace(one, axes=axes))
     before = [plant.actuator.displacement for plant in one.plants]
+    read = [float(plant.actuator.xs.sensor[MEASURED]) for plant in one.plants]
+    assert read == pytest.approx([place + 2e-6 for place in before], rel=1e-12)
     found = one.run({name: np.full(3, 20e-6) for name in "xy"})
     assert before == [found[name]["displacement"][0] for name in "xy"] == pytest.approx([11.3e-6] * 2, rel=0.03)
 
