@@ -363,6 +363,49 @@ def shown(p, x, error, shortfall, skipped):
     return x[LOST] if error == error else error
 
 
+@kernel
+def updated(p, x, before, length):
+    """Return the correction at the place ``before`` of its ring [m], updated by the errors around that place."""
+    period, lead, taps, half = int(p[PERIOD]), int(p[LEAD]), int(p[TAPS]), int(p[HALF])
+    corrections, errors = RINGS, RINGS + length
+    repeated = x[corrections + before]
+    place = before + lead
+    if place >= length:
+        place -= length
+    update = missing = limited = 0.0
+    for i in range(taps):
+        error_then = x[errors + place]
+        if error_then - error_then == 0.0:
+            update += p[FILTERS + i] * error_then
+        else:
+            missing += abs(p[FILTERS + i])
+            if error_then == LIMITED:
+                limited += abs(p[FILTERS + i])
+        place -= 1
+        if place < 0:
+            place += length
+    weights = FILTERS + taps
+    update += p[weights] * repeated
+    ahead = behind = before
+    for i in range(1, half + 1):
+        ahead += 1
+        if ahead == length:
+            ahead = 0
+        behind -= 1
+        if behind < 0:
+            behind += length
+        update += p[weights + i] * (x[corrections + ahead] + x[corrections + behind])
+    gain = p[GAIN]
+    if p[AVERAGING] > 0.0:
+        gain = min(gain, max(p[AVERAGING] / (1.0 + x[LEARNED] // period), p[LEAST_GAIN]))
+    x[LEARNED] += 1.0
+    if missing <= p[MISSING]:
+        return repeated + gain * (update - repeated)
+    if limited > p[MISSING]:
+        return repeated - RELIEF * gain * repeated
+    return repeated
+
+
 @called
 def learned_correction(p, x, reference, error):
     """Return the correction of the reference [m] in this sample.
@@ -375,7 +418,7 @@ def learned_correction(p, x, reference, error):
     error : float
         Reference minus measured displacement of this sample [m]; NaN: not usable for learning.
     """
-    period, lead, taps, half = int(p[PERIOD]), int(p[LEAD]), int(p[TAPS]), int(p[HALF])
+    period = int(p[PERIOD])
     length = (x.shape[0] - RINGS) // 3
     corrections, errors, references = RINGS, RINGS + length, RINGS + 2 * length
     now = int(x[SAMPLES]) % length
@@ -383,42 +426,7 @@ def learned_correction(p, x, reference, error):
     if before < 0:
         before += length
     repeated = x[corrections + before]
-    value = repeated
-    if x[MODE] == LEARNING:
-        place = before + lead
-        if place >= length:
-            place -= length
-        update = missing = limited = 0.0
-        for i in range(taps):
-            error_then = x[errors + place]
-            if error_then - error_then == 0.0:
-                update += p[FILTERS + i] * error_then
-            else:
-                missing += abs(p[FILTERS + i])
-                if error_then == LIMITED:
-                    limited += abs(p[FILTERS + i])
-            place -= 1
-            if place < 0:
-                place += length
-        weights = FILTERS + taps
-        update += p[weights] * repeated
-        ahead = behind = before
-        for i in range(1, half + 1):
-            ahead += 1
-            if ahead == length:
-                ahead = 0
-            behind -= 1
-            if behind < 0:
-                behind += length
-            update += p[weights + i] * (x[corrections + ahead] + x[corrections + behind])
-        gain = p[GAIN]
-        if p[AVERAGING] > 0.0:
-            gain = min(gain, max(p[AVERAGING] / (1.0 + x[LEARNED] // period), p[LEAST_GAIN]))
-        if missing <= p[MISSING]:
-            value = repeated + gain * (update - repeated)
-        elif limited > p[MISSING]:
-            value = repeated - RELIEF * gain * repeated
-        x[LEARNED] += 1.0
+    value = updated(p, x, before, length) if x[MODE] == LEARNING else repeated
     known = x[references + before]
     # in the first period there is no earlier reference to compare with, except that of a file
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
@@ -428,14 +436,11 @@ def learned_correction(p, x, reference, error):
     else:
         x[WEIGHT] = min(x[WEIGHT] + p[FADE], 1.0)
     value = min(max(x[WEIGHT] * value, -p[MAXIMUM]), p[MAXIMUM])
-    x[corrections + now] = value
-    x[errors + now] = error
-    x[references + now] = reference
-    if x[WEIGHT] < 1.0 and x[SAMPLES] < period and x[MODE] != FORGETTING:
-        # the axis approaches the path of the file, and the file is still right for the second period
-        x[corrections + now] = repeated
-        x[errors + now] = math.nan
-        x[references + now] = known
+    # while the axis approaches the path of a file, what is stored stays, because it is right for the second period
+    stays = x[WEIGHT] < 1.0 and x[SAMPLES] < period and x[MODE] != FORGETTING
+    x[corrections + now] = repeated if stays else value
+    x[errors + now] = math.nan if stays else error
+    x[references + now] = known if stays else reference
     x[SAMPLES] += 1.0
     x[CORRECTION] = value
     return value

@@ -315,8 +315,8 @@ def identify_stage(
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
     known = _uncertainties(parameters, analyses)
-    # a simulated plant may have no noise at all
-    level = request.noise or (float(np.max(noise)) or None if noise is not None else None)
+    measured = 0.0 if noise is None else float(np.max(noise))
+    level = request.noise or measured or None  # a simulated plant has no noise
     text, designs, why = design_identified(text, parameters, request, level, analyses, known)
     warnings += why
     designed = parse_configuration(text, "the identified stage")
