@@ -62,7 +62,7 @@ class Result:
     @property
     def holds(self) -> bool:
         """Whether the target is met."""
-        return self.value >= self.target if self.limit == "at least" else self.value <= self.target
+        return bool(self.value >= self.target if self.limit == "at least" else self.value <= self.target)
 
 
 def parser(description: str, **defaults) -> argparse.ArgumentParser:

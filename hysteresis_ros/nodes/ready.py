@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 #: Service that takes a setpoint with a tolerance, and the names of the numbers in its request.
 MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
 #: Time that the reference must rest before the noise is measured [s], and number of samples per evaluation.
-REST, BLOCK = 0.05, 256
+REST, BLOCK = 0.05, NoiseMeter.BLOCK
 #: Largest number of measurements of a move from which the predictor learns.
 MOST = 20_000
 #: Largest number of jobs that wait: setpoints that follow each other faster than they are predicted are not predicted.
@@ -373,7 +373,8 @@ class ReadyTopics:
         if waveform != "hold":
             return f"waveform.type = '{waveform}' moves the axis, so no move becomes ready; set waveform.type hold"
         if noise is None:
-            return f"the noise is not measured yet: let the axis rest for {REST:g} s and {self._meter.FEWEST} samples"
+            samples = NoiseMeter.SETTLED + NoiseMeter.FEWEST
+            return f"the noise is not measured yet: let the axis rest for {REST:g} s and {samples} samples"
         if tolerance < noise.least_tolerance:
             return f"tolerance {tolerance:g} m refused: {self._too_small(noise)}"
         return ""

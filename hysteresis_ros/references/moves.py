@@ -194,27 +194,40 @@ class NoiseMeter:
 
     The second difference of white noise has six times its variance, and that of a slow motion is small. The variance of
     the error is that of the sensor's noise plus that of the displacement, since noise does not move the axis within the
-    sample.
+    sample. It is taken around a line in each block of samples, so that a slow drift does not count as noise. The end of
+    a response does not count either: while the reference rests, a block with much less variance than those before
+    replaces them.
 
     Parameters
     ----------
     rest : float
-        Time for which the reference must be constant [s].
+        Time for which the reference must be constant [s]; it must also be constant for :data:`SETTLED` samples.
     sample_time : float
         Sample time [s].
     """
 
     #: Least number of samples of an estimate, and the number over which it averages.
-    FEWEST, AVERAGED = 200, 10_000
+    FEWEST, AVERAGED = 100, 10_000
+    #: Least number of samples for which the reference must be constant, least number in a block, and the least factor
+    #: by which the variance must fall for a block to replace those before.
+    SETTLED, BLOCK, LESS = 200, 256, 4.0
 
     def __init__(self, rest: float, sample_time: float):
-        self._rest = max(round(rest / sample_time), 3)
+        self._rest = max(round(rest / sample_time), self.SETTLED)
+        self._length = max(round(rest / sample_time), self.BLOCK)
         self._last = np.full((2, 2), math.nan)
         self._still = self.count = 0
-        self._differences = self._variance = 0.0
+        self._differences = 0.0
+        # numbers of samples and variances of the error: before the present rest, and in it
+        self._before, self._present = (0, 0.0), (0, 0.0)
 
     def take(self, reference, measured) -> None:
         """Take samples in succession: references and measurements [m], shape (N,); NaN: no measurement."""
+        for first in range(0, len(reference), self._length):
+            block = slice(first, first + self._length)
+            self._take(reference[block], measured[block])
+
+    def _take(self, reference, measured) -> None:
         given = np.concatenate([self._last, np.array([reference, measured], dtype=float)], axis=1)
         self._last = given[:, -2:]
         places = np.arange(given.shape[1] - 2)
@@ -224,16 +237,24 @@ class NoiseMeter:
         differences, errors = np.diff(given[1], 2), (given[1] - given[0])[2:]
         used = (still >= self._rest) & np.isfinite(differences)
         count = int(np.sum(used))
-        if count < 3:
-            return
-        self.count = min(self.count + count, self.AVERAGED)
-        part = min(count / self.count, 1.0)
-        self._differences += part * (float(np.mean(differences[used] ** 2)) - self._differences)
-        # around a line, so that a slow drift does not count as noise
-        line = places[used] - np.mean(places[used])
-        around = errors[used] - np.mean(errors[used])
-        around -= line * (line @ around / (line @ line))
-        self._variance += part * (float(around @ around) / (count - 2) - self._variance)
+        if count >= 3:
+            self.count = min(self.count + count, self.AVERAGED)
+            squares = float(np.mean(differences[used] ** 2))
+            self._differences += min(count / self.count, 1.0) * (squares - self._differences)
+            line = places[used] - np.mean(places[used])
+            around = errors[used] - np.mean(errors[used])
+            around -= line * (line @ around / (line @ line))
+            block = count, float(around @ around) / (count - 2)
+            replaces = count >= self._length // 2 and self.LESS * block[1] < self._present[1]
+            self._present = block if replaces else self._together(self._present, block)
+        if np.any(moved >= 0):
+            self._before, self._present = self._together(self._before, self._present), (0, 0.0)
+
+    def _together(self, one, other) -> tuple[int, float]:
+        """Return number of samples, at most :data:`AVERAGED`, and mean variance of two parts."""
+        count = one[0] + other[0]
+        mean = (one[0] * one[1] + other[0] * other[1]) / count if count else 0.0
+        return min(count, self.AVERAGED), mean
 
     @property
     def sensor(self) -> float:
@@ -250,7 +271,8 @@ class NoiseMeter:
             noise of one metre [m]; by default a loop at rest.
         """
         sensor = self.sensor
-        unexplained = max(self._variance - (sensor * error) ** 2, 0.0)
+        variance = self._together(self._before, self._present)[1]
+        unexplained = max(variance - (sensor * error) ** 2, 0.0)
         return Noise(sensor, math.sqrt((sensor * displacement) ** 2 + unexplained))
 
 

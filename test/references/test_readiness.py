@@ -21,7 +21,7 @@ from hysteresis_ros.references.moves import Noise, NoiseMeter, Readiness
 STEP, SENSOR, MOVED = 1e-3, 3e-9, 1e-9
 
 
-def meter(displacement, seed: int = 1, block: int = 97) -> NoiseMeter:
+def meter(displacement, seed: int = 1, block: int = 997) -> NoiseMeter:
     """Return a meter that has taken a displacement [m] around a reference of 1 µm, with the sensor's noise."""
     measured = 1e-6 + displacement + SENSOR * np.random.default_rng(seed).standard_normal(len(displacement))
     made = NoiseMeter(10.0 * STEP, STEP)
@@ -45,6 +45,36 @@ def test_a_slow_drift_and_a_motion_of_the_reference_are_no_noise():
     moving = NoiseMeter(10.0 * STEP, STEP)
     moving.take(1e-9 * np.arange(1000.0), np.sin(np.arange(1000.0)))
     assert moving.count == 0 and math.isnan(moving.sensor)
+
+
+def moves(rest: int, count: int, sensor: float = 0.0) -> NoiseMeter:
+    """Return a meter that has seen steps of 1 µm, each followed by a decay in 40 samples and a rest [samples]."""
+    made, setpoint = NoiseMeter(0.01, STEP), 0.0
+    random = np.random.default_rng(5)
+    made.take(np.zeros(500), sensor * random.standard_normal(500))
+    for _ in range(count):
+        setpoint += 1e-6
+        decay = setpoint - 1e-6 * np.exp(-np.arange(rest) / 40.0)
+        made.take(np.full(rest, setpoint), decay + sensor * random.standard_normal(rest))
+    return made
+
+
+@pytest.mark.parametrize(("rest", "count"), [(150, 20), (320, 5), (1000, 3)])
+def test_the_end_of_a_response_is_no_noise(rest, count):
+    """The response of a move is left out, whether the rest is too short for it or it ends within the rest."""
+    assert moves(rest, count).noise().displacement < 1e-9
+    found = moves(rest, count, SENSOR).noise(0.5, 1.0)
+    assert found.sensor == pytest.approx(SENSOR, rel=0.1)
+    assert found.displacement == pytest.approx(0.5 * SENSOR, rel=0.5)
+
+
+def test_a_disturbance_that_comes_later_is_noise():
+    """A part of a rest with less variance replaces the part before; a part with more does not, and both count."""
+    calm, shaken = np.zeros(2000), 10.0 * MOVED * np.sin(0.5 * np.arange(6000.0))
+    made = meter(np.concatenate([calm, shaken]))
+    assert made.noise().displacement == pytest.approx(10.0 * MOVED * math.sqrt(0.5 * 0.75), rel=0.05)
+    after = meter(np.concatenate([shaken, calm]))
+    assert after.noise().displacement < 2.0 * MOVED
 
 
 @pytest.mark.parametrize(("moved", "error"), [(0.5, 1.2), (0.5, 1.0), (0.5, 0.6), (0.0, 0.0)])
