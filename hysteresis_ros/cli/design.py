@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, Quantity, scan_options
+from hysteresis_ros.cli.options import ConfigurationName, Quantity, refuse_values, scan_options
 from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.control.controller import DESIGNS
 from hysteresis_ros.control.damping import inner_loop as damping
@@ -126,8 +126,8 @@ def design(config, namespace, output, response, runs, scan, values, **options):
     from hysteresis_ros.loop.reach import single_axis
 
     configuration = load_configuration(config)
-    if values and scan is None:
-        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
+    if scan is None:
+        refuse_values(values)
     if configuration.stage is not None:
         if scan is not None:
             configuration = _scanning(configuration, scan, values, options)

@@ -454,13 +454,20 @@ def scan_options(command):
     )
 
 
+def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
+    """Refuse values of a scan where no scan was chosen; ``remedy`` is for a second file, a usual mistake."""
+    if values and "=" in values[0]:
+        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
+    if values:
+        raise click.UsageError(f"{values[0]} is neither an option nor NAME=VALUE of a scan{remedy}")
+
+
 def scanning(configuration, scan: str | None, values: tuple[str, ...], reference: AskedReference):
     """Return the configuration of a stage that follows a scan; without a scan it is unchanged."""
     from hysteresis_ros.loop.stage_simulation import with_scan
 
     if scan is None:
-        if values:
-            raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
+        refuse_values(values, "; --params-file FILE overrides values of the configuration")
         return configuration
     if reference.kind:
         raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")

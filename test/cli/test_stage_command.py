@@ -269,6 +269,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),
         (("width=20um",), "width=20um belongs to a scan: choose a scan, for instance --scan raster"),
+        (("other.yaml",), "other.yaml is neither an option nor NAME=VALUE of a scan; --params-file FILE overrides"),
         ((*SCAN, "--reference", "sine", "--amplitude", "1um"), "--scan and --reference exclude each other"),
     ],
 )
