@@ -139,6 +139,10 @@ def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: 
 OFFSETS = ("kept", "free")
 #: RMS error [% of the stroke] above which a model is reported as a poor description.
 LEFT = 2.0
+#: RMS error in the omitted beginning, as a multiple of the predicted error, above which it is stated.
+BEGINNING = 2.0
+#: A recording begins at 0 V if its first voltage is below this fraction of the range.
+AT_ZERO = 0.01
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
 
@@ -461,6 +465,11 @@ def _finished(
     shown = as_sensed(data, predicted + drift) - drift
     found, back, figures, judged = judge(result.chain, still, shown, skip=skip, free_offset=free, fitted=fitted)
     notes = [*read, *result.warnings, *model_warnings(result), *judged, *modes_at_bounds(result.chain.linear_part)]
+    if result.skipped and "predicted_rmse_m" in result.numbers:
+        omitted, expected = (still.output - predicted)[: result.skipped], result.numbers["predicted_rmse_m"]
+        beginning = float(np.sqrt(np.mean(omitted**2)))
+        result = replace(result, numbers={**result.numbers, "beginning_rmse_m": beginning})
+        notes += _beginning_notes(data, beginning, expected)
     notes += () if free else zero_warnings(data, result.chain)
     if found.rmse_percent_of_stroke > LEFT:
         notes.append(
@@ -485,6 +494,19 @@ def _finished(
     named = {figure_name(name, result.chain.units): value for name, value in named.items()}
     compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)
     return Identified(**vars(compared), identification=result, text=text, response=checked)
+
+
+def _beginning_notes(data: IdentificationData, beginning: float, expected: float) -> tuple[str, ...]:
+    """Return a warning if the RMS error in the omitted beginning [m] is far above the predicted one [m]."""
+    if beginning <= BEGINNING * expected:
+        return ()
+    text = (
+        f"the predicted error of {readable(expected, 'm')} holds after the voltage has been near both ends of its "
+        f"range; before, in the omitted beginning of this recording, the error is {readable(beginning, 'm')} RMS"
+    )
+    if abs(data.input[0]) <= AT_ZERO * np.ptp(data.input):
+        text += "; --initial zero fits the beginning too, if the actuator had no remanence then"
+    return (text,)
 
 
 def _with_fast(result: Identification, fast: Fast) -> Identification:

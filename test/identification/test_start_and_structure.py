@@ -34,6 +34,7 @@ from hysteresis_ros.identification.separation import find_start
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+from hysteresis_ros.units import readable
 
 T = 0.005
 TIME = np.arange(800) * T  # four cycles of 1 Hz
@@ -344,3 +345,23 @@ def test_a_resonance_among_the_harmonics_of_a_sine_is_the_shape_of_the_loops():
     sine, rich = (TurnSearch(None, v, v, T, ("lag", "modes"), 0) for v in (loops(100.0), multisine))
     assert not sine.excited(4.2) and sine.excited(40.0)
     assert rich.excited(4.2)
+
+
+@pytest.mark.parametrize(
+    ("history", "voltage"), [((), DECAYING), ((150.0, 0.0), DECAYING), ((150.0, 10.0), 10.0 + 0.8 * DECAYING)]
+)
+def test_an_omitted_beginning_that_the_predicted_error_does_not_include_is_stated(history, voltage):
+    y = recorded(voltage, history)
+    found = identify(data(voltage, y), linear="lag")
+    skipped, beginning = found.figures.get("skipped", 0), found.figures.get("beginning_rmse_m", 0.0)
+    assert skipped == wiped_out(voltage) and found.figures["predicted_rmse_m"] < 30e-9
+    assert beginning == pytest.approx(np.sqrt(np.mean((found.predicted - y)[:skipped] ** 2)), rel=1e-9)
+    said = [text for text in found.warnings if "holds after the voltage has been near both ends" in text]
+    assert len(said) == 1 and readable(beginning, "m") in said[0]
+    assert ("--initial zero" in said[0]) == (voltage[0] == 0.0)
+
+
+def test_a_recording_from_rest_that_is_fitted_from_its_beginning_has_no_such_warning():
+    found = identify(data(DECAYING, recorded(DECAYING)), linear="lag", initial="zero")
+    assert np.std(found.predicted - recorded(DECAYING)) < 10e-9
+    assert "beginning_rmse_m" not in found.figures and not any("near both ends" in text for text in found.warnings)
