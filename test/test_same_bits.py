@@ -157,7 +157,7 @@ JUDGES = {
         "np.log",
         "np.exp",
     },
-    # paths that are written into files; the loop runs no scan
+    # paths of scans; a product in a fixed order rotates those that the loop follows (test_recorded_runs.py)
     "references/pieces.py": {"@"},
     "references/scan.py": {"np.linalg", "@", "math.log10", "math.sin", "math.cos"},
     "references/scans/cycloid.py": {"np.exp"},

@@ -34,6 +34,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.linear_algebra import product
 
 #: Names of the axes; then name and SI unit of the position and of each derivative.
 AXES = ("x", "y", "z")
@@ -288,7 +289,8 @@ class Scan(Parameters, abc.ABC):
         """
         self.validated()
         frames = np.atleast_1d(np.asarray(time, dtype=np.float64)) * self.rate
-        path = self.matrix @ self.plane(np.mod(frames, self.frames_per_period), order) * self.rate**order
+        # the loop follows it, so its bits must not depend on the processor
+        path = product(self.matrix, self.plane(np.mod(frames, self.frames_per_period), order)) * self.rate**order
         return path + self.centre[:, None] if order == 0 else path
 
     def position(self, time) -> np.ndarray:
