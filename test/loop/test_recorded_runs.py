@@ -34,24 +34,43 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
+from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values, static_decoupling
 from hysteresis_ros.control.learning import Learned, write_learned
+from hysteresis_ros.control.linearisation import whole_loop
+from hysteresis_ros.control.margins import margins_of
+from hysteresis_ros.control.uncertainty import Uncertainty, drawn_plants
+from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.axis_array import AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import FAULTS
-from hysteresis_ros.loop.parameters import NODE_PARAMETERS
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, part
 from hysteresis_ros.loop.quiet import Quiet
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import mismatched, simulate
 from hysteresis_ros.loop.stage_parameters import StageNodeParameters, StageParameters
-from hysteresis_ros.loop.stage_simulation import simulate_stage, with_scan
+from hysteresis_ros.loop.stage_response import (
+    damped_response,
+    loop_bandwidths,
+    path_bandwidths,
+    stage_loop,
+    stage_response,
+)
+from hysteresis_ros.loop.stage_simulation import coupling_errors, displacements_between, simulate_stage, with_scan
+from hysteresis_ros.models import elementary, linear_algebra
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.references.moves import Noise, NoiseMeter, Readiness, Settling
+from hysteresis_ros.references.recipes import RECIPES, recipe
+from hysteresis_ros.references.scan import ScanLimits, frame_marks, largest_frame_rate, line_marks, pixel_marks
+from hysteresis_ros.references.scans import parsed_scan
 from hysteresis_ros.signals import ACTUATOR
 
 RECORDED = pathlib.Path(__file__).with_name("recorded_runs.json")
@@ -208,6 +227,146 @@ def repeated(name: str, samples: int, **nodes) -> Callable[[], Signals]:
     return simulated
 
 
+def figures(function: Callable[..., Mapping[str, Any]], *given) -> Callable[[], Signals]:
+    """Return a function that returns numbers, rounded to 1e-6 of the largest in an array: they use other libraries."""
+
+    def rounded() -> Signals:
+        found = {}
+        for name, values in function(*given).items():
+            array = np.atleast_1d(np.asarray(values))
+            array = np.concatenate([array.real.ravel(), array.imag.ravel()]) if np.iscomplexobj(array) else array
+            array = array.astype(float).ravel()
+            largest = np.max(np.abs(array[np.isfinite(array)]), initial=0.0) or 1.0
+            # the sum leaves no negative zeros
+            found[name] = np.append(np.round(array / largest, 6) + 0.0, float(f"{largest:.6g}"))
+        return found
+
+    return rounded
+
+
+def numbers(nested: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return the numbers of nested dictionaries, by their path."""
+    found = {}
+    for name, value in nested.items():
+        if isinstance(value, Mapping):
+            found |= numbers(value, f"{path}{name}.")
+        elif np.asarray(value).dtype.kind in "bif" and np.size(value):
+            found[f"{path}{name}"] = value
+    return found
+
+
+def design_figures() -> dict[str, Any]:
+    """Return the parameters that each design finds for the shipped sliding mode controller's axis."""
+    axis, found = axis_of("kim2009", {}), {}
+    for name in DESIGNS:
+        wanted = {"pid": 30.0, "super_twisting": 30.0}.get(name)
+        design = design_gains(axis.motion_controller, name, 1.0 / axis.plant_simulator.sample_rate, wanted)
+        found |= numbers(asdict(design.parameters), f"{name}.")
+    return found
+
+
+def margin_figures() -> dict[str, Any]:
+    """Return the margins of shipped controllers, for the model and for plants near it."""
+    found: dict[str, Any] = {}
+    for name in ("stage700", "fleming2010", "kim2009"):
+        axis = axis_of(name, {})
+        step = 1.0 / axis.plant_simulator.sample_rate
+        loop = whole_loop(part(axis.motion_controller, ControllerParameters), step)
+        margins = margins_of(*loop, step)
+        found |= {f"{name}.{item}": getattr(margins, item) for item in MARGINS}
+        possible = drawn_plants(axis.motion_controller.model.dynamics, step, Uncertainty(gain=0.1, draws=3))
+        found |= {f"{name}.{k}": np.sort_complex(one.plant.poles) for k, one in enumerate(possible)}
+    return found
+
+
+def stage_figures() -> dict[str, Any]:
+    """Return margins, responses and coupling of a stage."""
+    given = StageParameters.from_configuration(with_scan(configured("xy_scanner", {}), "raster", RASTER.split()))
+    angles, gain = np.array([0.01, 0.1, 1.0]), np.array([[1.0, 0.04], [0.1, 0.8]])
+    margins = disk_margins(stage_loop(given), 1.0 / given.sample_rate)
+    found: dict[str, Any] = {
+        "response": stage_response(given, angles),
+        "damped": damped_response(given, angles),
+        "bandwidths": loop_bandwidths(given),
+        "of paths": path_bandwidths(given),
+        "decoupling": static_decoupling(gain),
+        "relative gains": relative_gain_array(gain),
+        "singular values": singular_values(gain[None]),
+    }
+    for place, margin in enumerate((*margins.loops, margins.together)):
+        found[f"margins {place}"] = np.round([*margin.gains, margin.phase_margin], 4)
+    for error in coupling_errors(given, 0.006):
+        found[f"{error.scanning} moves {error.held}"] = [error.rms, error.peak, error.scanned]
+    time, between = displacements_between(given, simulate_stage(given, duration=0.006))
+    return found | {"instants": time, "between the samples": between}
+
+
+def scan_figures(name: str) -> dict[str, Any]:
+    """Return path, bounds, passes and marks of a scan."""
+    scan = parsed_scan(name.split()[0], SCANS[name].split())
+    time = np.linspace(0.0, scan.period, 60)
+    found: dict[str, Any] = {f"order {order}": scan.derivative(time, order) for order in range(4)}
+    found |= {f"bounds {order}": scan.peak(order) for order in range(4)}
+    passes, clock = scan.passes, scan.clock(time)
+    found |= {f"passes {item}": getattr(passes, item) for item in ("begin", "duration", "line", "direction")}
+    found |= {f"clock {item}": getattr(clock, item) for item in ("frame", "line", "pixel", "direction")}
+    for marks in (frame_marks, line_marks, pixel_marks):
+        made = marks(scan, time)
+        found |= {f"{marks.__name__} {item}": getattr(made, item) for item in ("time", "frame", "line", "direction")}
+    limits = ScanLimits(velocity=(1e-3, 1e-3), acceleration=(2.0, 2.0), jerk=(4e3, 4e3))
+    found |= {"extent": scan.extent(), "gap": scan.gap, "constant": scan.constant_share, "size": scan.size}
+    return found | {"fastest": largest_frame_rate(scan, limits), "bandwidth": scan.bandwidth}
+
+
+def move_figures() -> dict[str, Any]:
+    """Return when moves settle and are ready, and the measured noise."""
+    made = run(samples=300, setpoints=JUMPS, **merged(HOLD, {PLANT: {"sensor__noise": 2e-8}}))()
+    settling, meter = Settling(2e-7, 0.005, 1.0 / 3000.0), NoiseMeter(0.01, 1.0 / 3000.0)
+    readiness = Readiness(3e-7, 0.004, Noise(2e-8, 1e-8), 1.0 / 3000.0)
+    settled, ready, noise = [], [], []
+    for k, (setpoint, reference, measured) in enumerate(
+        zip(made["setpoint"], made["reference"], made["measured"], strict=True)
+    ):
+        if setpoint != made["setpoint"][k - 1]:
+            readiness.restart()
+        measured = np.nan if k in (140, 141, 180) else measured
+        settled.append(settling.look(setpoint, reference, measured, k > 280))
+        ready.append((readiness.look(setpoint, measured), readiness.since))
+        meter.take(np.array([reference]), np.array([measured]))
+        noise.append((meter.sensor, meter.noise().displacement))
+    return {"settled": settled, "ready": ready, "noise": noise}
+
+
+def recipe_figures() -> dict[str, Any]:
+    """Return the voltages of each excitation."""
+    found: dict[str, Any] = {}
+    for name in RECIPES:
+        made = recipe(name, 0.0, 100.0, 500.0)
+        found |= numbers(made.waveform, f"{name}.")
+        found[f"{name} duration"] = made.duration
+        found |= {} if made.samples is None else {f"{name} samples": made.samples}
+    return found
+
+
+def algebra_figures() -> dict[str, Any]:
+    """Return results of linear algebra and of elementary functions."""
+    A = np.array([[0.5, 0.1, 0.0, 0.2], [0.3, 0.4, -0.6, 0.0], [0.0, 0.7, 0.6, 0.1], [0.1, 0.0, 0.3, 0.3]])
+    B = np.array([[0.3, 0.0], [1.1, 0.2], [0.7, -1.0], [0.2, 0.4]])
+    x = np.linspace(-6.0, 6.0, 101).tolist()
+    found: dict[str, Any] = {
+        "exponential": linear_algebra.exponential(A),
+        "eigenvalues": np.sort_complex(linear_algebra.eigenvalues(A)),
+        "riccati": linear_algebra.riccati(A, B, np.eye(4), np.eye(2)),
+        "inverse": linear_algebra.inverse(A),
+        "power": linear_algebra.power(A, 5),
+        "balance": linear_algebra.balance(A * np.array([1.0, 1e3, 1.0, 1e-3])),
+    }
+    for name in ("sin", "cos", "exp", "expm1", "tanh"):
+        found[name] = [getattr(elementary, name)(value) for value in x]
+    found |= {"log": [elementary.log(7.0 + value) for value in x], "pow": [elementary.pow(7.0 + v, 1.3) for v in x]}
+    return found | {"log1p": [elementary.log1p(0.1 * value) for value in x]}
+
+
 def modelled(kind: str, inverse: str, **own) -> dict[str, dict]:
     """Return nodes whose plant has a hysteresis model; that of the compensator differs by a few per cent."""
     model = MODELS[kind]
@@ -242,6 +401,11 @@ def limited(velocity: float = 4e-4, acceleration: float = 0.02, jerk: float = 2.
     return {f"approach__{name}": value for name, value in found.items()}
 
 
+RASTER = "width=10um depth=4um lines=3 flyback=1 frame_rate=15Hz"
+MARGINS = (
+    "gain_margin phase_margin delay_margin gain_crossovers sensitivity_peak complementary_peak bandwidth noise_gain"
+)
+MARGINS = MARGINS.split()
 HOLD = {SOURCE: {"waveform__type": "hold"}}
 JUMPS = (1e-6, 9e-6, 4e-6)
 #: Nested loops of the hysteresis, beyond both ends of a model's range.
@@ -318,6 +482,7 @@ OPERATORS = {
 }
 #: Two layers of a Duhem model's network.
 NETWORKS = (1.5, 1.2, 0.3, -0.4, 0.5, 0.4, 0.02), (1.0, -1.0, 0.9, 0.9, 0.05, 0.05, 0.8)
+SHAPED = {"shape": "network", "f_network": NETWORKS[0], "g_network": NETWORKS[1]}
 INVERSE_DUHEM = {
     COMPENSATOR: {
         f"inverse__duhem__{name}": value
@@ -346,6 +511,7 @@ ADAPTING = {
         "adaptation__type": "recursive",
         "adaptation__memory": 8.0,
         "adaptation__rate": 0.2,
+        "adaptation__slow": 0.05,
         **{f"adaptation__dynamics__{name}": value for name, value in LAG.items()},
         "hysteresis__prandtl_ishlinskii__offset": 2e-7,
     },
@@ -432,6 +598,33 @@ RUNS: dict[str, Callable[[], Signals]] = {
     "preisach": run(**modelled("preisach", "general")),
     "preisach with a short memory": run(**modelled("preisach", "none", memory=4)),
     "proportional": run(**modelled("proportional", "exact")),
+    **{
+        f"{kind} beyond its range, with changes ({inverse})": run(
+            samples=300,
+            setpoints=(0.0, 12e-6, -2e-6, 14e-6, 3e-6, 10e-6),
+            changes=[
+                (100, PLANT, "retune", own),
+                (150, COMPENSATOR, "retune", own),
+                (210, COMPENSATOR, "retune", {name: 1.02 * value for name, value in own.items()}),
+                (230, PLANT, "retune", {name: 1.02 * value for name, value in own.items()}),
+            ],
+            **merged(
+                modelled(kind, inverse, **more),
+                HOLD,
+                {SOURCE: {"minimum": -2e-6, "initial_setpoint": 0.0, **limited(8e-4, 0.2, 0.0)}},
+            ),
+        )
+        for kind, inverse, own, more in (
+            ("bouc_wen", "general", {"hysteresis.bouc_wen.d_e": 1.5e-7}, {}),
+            ("duhem", "none", {"hysteresis.duhem.output_high": 1.1e-5}, SHAPED),
+            ("duhem", "general", {"hysteresis.duhem.output_high": 1.1e-5}, {}),
+            ("generalised_play", "exact", {"hysteresis.generalised_play.slope": 8e-8}, {"voltage_high": 60.0}),
+            ("polynomial", "exact", {"hysteresis.polynomial.scale": 1.04}, {"voltage_high": 70.0}),
+            ("prandtl_ishlinskii", "exact", {"hysteresis.prandtl_ishlinskii.offset": 2e-7}, {}),
+            ("preisach", "general", {"hysteresis.preisach.slope": 8e-8}, {"memory": 4}),
+            ("proportional", "exact", {"hysteresis.proportional.gain": 1.1e-7}, {}),
+        )
+    },
     # creep, dynamics, sensors, limits
     "creep of operators": run(
         **merged(
@@ -496,6 +689,24 @@ RUNS: dict[str, Callable[[], Signals]] = {
             ("super_twisting", "constant", "predictor", TWISTING),
         )
     },
+    **{
+        f"an observer of a {disturbance} disturbance starts again": run(
+            setpoints=JUMPS,
+            seed=4,
+            changes=[(60, CONTROLLER, "stop"), (90, CONTROLLER, "start"), (150, CONTROLLER, "reset")],
+            **merged(
+                HOLD,
+                GUARDED,
+                {CONTROLLER: {**OBSERVED, "kalman__disturbance": disturbance, "kalman__form": form}},
+            ),
+        )
+        for disturbance, form in (("constant", "current"), ("ramp", "predictor"), ("periodic", "current"))
+    },
+    "an integral sliding mode starts again": run(
+        setpoints=JUMPS,
+        changes=[(60, CONTROLLER, "stop"), (90, CONTROLLER, "start"), (150, CONTROLLER, "reset")],
+        **merged(HOLD, GUARDED, {CONTROLLER: {**OBSERVED, **INTEGRAL, "sliding_mode__hyperplane": "poles"}}),
+    ),
     "pid": run(
         "stage700", setpoints=JUMPS, **BARE, **{CONTROLLER: {"pid__setpoint_weight": 0.7, "pid__roll_off": 2e4}}
     ),
@@ -581,10 +792,26 @@ RUNS: dict[str, Callable[[], Signals]] = {
         },
     ),
     # adaptation
-    "adaptation": run("picma_stage", 400, **ADAPTING),
+    "adaptation": run("picma_stage", 400, seed=6, **ADAPTING),
+    "adaptation with wrong and missing measurements": run(
+        "picma_stage",
+        300,
+        seed=6,
+        **merged(
+            ADAPTING,
+            {
+                PLANT: {"sensor__offset": 1e-4, "overtravel": -1.0},
+                COMPENSATOR: {"adaptation__factors": (1.1,) * 20, "limits__maximum": 2.9},
+                "every": {"faults": ["nan:0.5:0.1", "lost_command:0.8:0.5"]},
+            },
+        ),
+        skipped=(60, 61, 62, 150),
+        changes=[(200, COMPENSATOR, "stop"), (220, COMPENSATOR, "start"), (250, COMPENSATOR, "reset")],
+    ),
     "adaptation with changes": run(
         "picma_stage",
         300,
+        seed=6,
         changes=[(100, COMPENSATOR, "freeze"), (160, COMPENSATOR, "resume"), (240, COMPENSATOR, "forget")],
         **merged(ADAPTING, {COMPENSATOR: {"adaptation__offset": "measured", "creep__type": "none"}}),
     ),
@@ -688,7 +915,12 @@ RUNS: dict[str, Callable[[], Signals]] = {
             },
             "sine": {"phase": 0.7, "offset": 5e-7, "cycles": 1},
             "square": {"square__duty": 0.3},
+            "square that ends": {"cycles": 1, "polarity": "symmetric"},
             "staircase": {"staircase__steps": 3},
+            "staircase that ends": {"staircase__steps": 2, "cycles": 1, "polarity": "symmetric"},
+            "steps that end": {"steps__values": (0.0, 3e-6), "steps__times": (0.005, 0.01), "cycles": 1},
+            "multisine that ends": {"multisine__last_harmonic": 4, "polarity": "symmetric", "cycles": 1},
+            "triangle that ends": {"cycles": 1, "offset": 5e-7},
             "steps": {"steps__values": (0.0, 3e-6, -2e-6), "steps__times": (0.005, 0.01, 0.02), "steps__period": 0.03},
             "triangle": {"polarity": "symmetric", "phase": 1.0},
         }.items()
@@ -995,6 +1227,52 @@ RUNS: dict[str, Callable[[], Signals]] = {
             },
         ),
     ),
+    "a motor that slips while it positions": run(
+        "inchworm_travel",
+        700,
+        setpoints=(1e-6, 1.5e-6, 1.05e-5),
+        **merged(
+            AT_REST,
+            {
+                PLANT: {"inchworm__slider__external_force": -3.0},
+                MOTOR: {"guard__slip": 2e-8, "guard__drift": 0.0, "fine__tolerance": 1e-9, "fine__timeout": 0.01},
+                "every": {"faults": ["lost_grip:0.03:0.02:0.3"]},
+            },
+        ),
+    ),
+    "a motor that runs away": run(
+        "inchworm_travel",
+        500,
+        setpoints=(0.0,),
+        **merged(AT_REST, {MOTOR: {"guard__runaway": 1e-6}, "every": {"faults": ["offset:0.02:0.01:5e-6"]}}),
+    ),
+    "a motor that positions at other extensions": run(
+        "inchworm_travel",
+        900,
+        setpoints=(-5e-7, 4e-7, 3e-7, -2e-6, 9e-6),
+        **merged(
+            AT_REST,
+            {
+                MOTOR: {
+                    "gait__fine_margin": 1e-7,
+                    "resting_extension": 3e-6,
+                    "learning__enabled": False,
+                    "fine__smoothing_time": 1e-3,
+                    "guard__sensor_timeout": 0.0,
+                }
+            },
+        ),
+    ),
+    "a motor that only steps": run(
+        "inchworm_travel",
+        900,
+        setpoints=(1.9e-5,),
+        requests={700: 4.0, 850: 1.0},
+        **merged(AT_REST, {MOTOR: {"fine__enabled": False, "gait__walking_speed": 2e-4, "gait__settle": 5e-4}}),
+    ),
+    "a motor that steps at a speed": run(
+        "inchworm_travel", 900, setpoints=(0.0,), speeds={20: -1.5e-4, 500: 1e-4, 800: 0.0}, **AT_REST
+    ),
     "a motor that is stopped, homed and started": run(
         "inchworm_travel",
         1000,
@@ -1110,6 +1388,14 @@ RUNS: dict[str, Callable[[], Signals]] = {
         changes={"s2": [(60, CONTROLLER, "retune", {"pid.Ki": 90.0})]},
         **BARE,
     ),
+    # figures of designs, margins, scans and moves: not runs, but results that runs and users rely on
+    "figures of designs": figures(design_figures),
+    "figures of margins": figures(margin_figures),
+    "figures of a stage": figures(stage_figures),
+    **{f"figures of a {name}": figures(scan_figures, name) for name in SCANS},
+    "figures of moves": figures(move_figures),
+    "figures of recipes": figures(recipe_figures),
+    "figures of linear algebra": figures(algebra_figures),
     # arrays
     "an array": array(
         "kim2009",
