@@ -48,7 +48,7 @@ from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import margins_of
 from hysteresis_ros.control.uncertainty import Uncertainty, drawn_plants
 from hysteresis_ros.designs.gains import design_gains
-from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.axis_array import AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import FAULTS
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, part
@@ -84,7 +84,7 @@ Signals = Mapping[str, np.ndarray]
 NOT_OF_THE_LOOP = (
     r".*\.(time_mode|measurement_reliability|setpoint_reliability)|displacement_camera\..*|recorder\..*"
     r"|plant_simulator\.(type|driver|gcs\..*|triggers\..*|calibration\..*|inchworm\..*_clamp\.hysteresis\..*)"
-    r"|inchworm_sequencer\.triggers\.(each|input\.action)"
+    r"|inchworm_sequencer\.triggers\.each"
 )
 #: Beginnings of the names of runs that are repeated on another processor.
 FEW = ("kim2009", "xy_scanner", "scan", "waveform multisine", "sliding_mode", "damping", "adaptation", "a path")
@@ -299,6 +299,28 @@ def stage_figures() -> dict[str, Any]:
         found[f"{error.scanning} moves {error.held}"] = [error.rms, error.peak, error.scanned]
     time, between = displacements_between(given, simulate_stage(given, duration=0.006))
     return found | {"instants": time, "between the samples": between}
+
+
+def mirror_figures() -> dict[str, Any]:
+    """Return margins and responses of a stage with hysteresis inside its structure."""
+    given = StageParameters.from_configuration(configured("steering_mirror", {}))
+    margins = disk_margins(stage_loop(given), 1.0 / given.sample_rate)
+    return {
+        "response": stage_response(given, np.array([0.01, 0.1, 1.0])),
+        "large gain": given.stage.large_gain(),
+        "margins": np.round([one.gain_margin for one in margins.loops], 4),
+    }
+
+
+def forecast_figures() -> dict[str, Any]:
+    """Return the drift of a quiet hold after a step, and how long it stays within tolerances."""
+    axis = Axis(axis_of("picma_stage", QUIET))
+    axis.run(np.repeat([0.0, 20e-6], 50))
+    forecast = axis.forecast()
+    return {
+        "creep": [forecast.creep(duration) for duration in (0.1, 1.0, 20.0)],
+        "longest": [forecast.longest(tolerance) for tolerance in (1e-8, 3e-8, 1e-7, 1.0)],
+    }
 
 
 def scan_figures(name: str) -> dict[str, Any]:
@@ -1106,6 +1128,17 @@ RUNS: dict[str, Callable[[], Signals]] = {
         ],
         **merged(HOLD, GUARDED),
     ),
+    **{
+        f"pulses that {action} while the axis is stopped": run(
+            pulses=(20, 70, 100, 150),
+            setpoints=(2e-6, 3e-6),
+            changes=[(60, PLANT, "halt"), (120, PLANT, "start")],
+            **merged(
+                {SOURCE: TRIANGLE | {"waveform__amplitude": 5e-6, "triggers__input__action": action, **own}}, GUARDED
+            ),
+        )
+        for action, own in (("start", {}), ("hold", {}), ("step", {"triggers__input__distance": 1e-6}))
+    },
     # stops and changes
     "stops of all parts": run(
         samples=400,
@@ -1316,6 +1349,17 @@ RUNS: dict[str, Callable[[], Signals]] = {
         pulses=(100, 250),
         **merged(AT_REST, {MOTOR: {"triggers__input__action": "step", "triggers__input__distance": 6e-7}}),
     ),
+    **{
+        f"pulses that {action} a motor while it is stopped": run(
+            "inchworm_travel",
+            400,
+            pulses=(70, 150, 200, 330),
+            setpoints=(1.5e-5,),
+            changes=[(120, PLANT, "halt"), (250, PLANT, "start")],
+            **merged(AT_REST, {MOTOR: {"triggers__input__action": action}}),
+        )
+        for action in ("start", "hold")
+    },
     "a motor that walks on and learns": run(
         "inchworm_travel",
         1500,
@@ -1393,6 +1437,8 @@ RUNS: dict[str, Callable[[], Signals]] = {
     "figures of margins": figures(margin_figures),
     "figures of a stage": figures(stage_figures),
     **{f"figures of a {name}": figures(scan_figures, name) for name in SCANS},
+    "figures of a mirror": figures(mirror_figures),
+    "figures of forecasts": figures(forecast_figures),
     "figures of moves": figures(move_figures),
     "figures of recipes": figures(recipe_figures),
     "figures of linear algebra": figures(algebra_figures),
