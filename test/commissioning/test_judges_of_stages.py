@@ -133,6 +133,21 @@ def test_the_response_is_that_of_the_periods_after_the_first_one(situation):
     assert found.figures["gain_m_per_v"] == pytest.approx(GAIN, rel=1e-3)
 
 
+def test_the_damping_is_that_of_the_whole_peak_and_not_of_the_noise_at_its_top():
+    """The lines of a long period are so close that the peak of 2 % at 310 Hz hardly falls over a few of them."""
+    frequency, damping, period, rate = 310.0, 0.02, 8000, 2000.0
+    draw = np.random.default_rng(5)
+    one = np.zeros(period // 2 + 1, complex)
+    one[1 : int(volts.EXCITED * period)] = np.exp(2j * np.pi * draw.uniform(size=int(volts.EXCITED * period) - 1))
+    f = np.fft.rfftfreq(period, 1.0 / rate)
+    mode = GAIN / (1.0 - (f / frequency) ** 2 + 2j * damping * f / frequency)
+    voltage, moved = np.fft.irfft(period * one), np.fft.irfft(period * one * mode)
+    measured = np.tile(moved, 4) + draw.normal(0.0, 0.2 * np.std(moved), 4 * period)
+    found = volts.response_outcome(np.tile(voltage, 4), measured, rate, period).figures
+    assert found["resonance_hz"] == pytest.approx(frequency, rel=2e-3)
+    assert found["damping"] == pytest.approx(damping, rel=0.1)
+
+
 @pytest.mark.parametrize(("left", "expected", "settles"), [(5e-7, 1e-7, True), (7e-7, 1e-7, False), (4e-8, 1e-9, True)])
 @pytest.mark.parametrize("step", range(len(closed.STEPS)))
 def test_a_loop_settles_if_little_is_left_after_each_step(situation, monkeypatch, step, left, expected, settles):

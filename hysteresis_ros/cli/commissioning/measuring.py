@@ -14,6 +14,8 @@ Each voltage begins and ends at the safe voltage, with smooth ramps.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hysteresis_ros.analysis.commissioning_report import Picture, line
@@ -93,6 +95,8 @@ NOISY, FAR_AWAY = 0.02, 20.0
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
 #: Largest factor between measured and expected gain, and largest remaining movement, as a fraction of a small step.
 EXPECTED, RINGING = 3.0, 0.25
+#: Part of the height of a peak within which its resonance is fitted: the half-power band.
+HALF_POWER = math.sqrt(0.5)
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
 #: Number of the lowest frequencies of a response from which delay and gain are determined.
@@ -246,10 +250,15 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
 
 def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
     """Return frequency [Hz] and damping ratio of the highest peak."""
-    near = slice(max(peak - 3, 0), peak + 4)
+    size = np.abs(found.single)
+    # its half-power band: a few lines at its flat top would give the curvature of their noise
+    low = np.flatnonzero(size[:peak] < HALF_POWER * size[peak])
+    high = np.flatnonzero(size[peak:] < HALF_POWER * size[peak])
+    first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else size.size)
+    near = slice(max(min(first, peak - 3), 0), max(last + 1, peak + 4))
     omega = 2.0 * np.pi * found.frequency[near]
-    # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²
-    curve = np.polyfit(omega**2, 1.0 / np.abs(found.single[near]) ** 2, 2)
+    # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²; its values are as uncertain as they are large
+    curve = np.polyfit(omega**2, 1.0 / size[near] ** 2, 2, w=size[near] ** 2)
     square = -0.5 * curve[1] / curve[0]
     least = np.polyval(curve, square) / curve[0]
     if not (square > 0.0 and least > 0.0):
