@@ -39,6 +39,7 @@ from hysteresis_ros.loop.parameters import (
 )
 from hysteresis_ros.loop.simulation import deviating
 from hysteresis_ros.loop.tick import WHOLE, ticks
+from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.models.adaptation import AdaptationParameters
 from hysteresis_ros.models.block import specialised
 from hysteresis_ros.models.declaration import Deviation
@@ -74,7 +75,10 @@ NEAR, AHEAD, BEHIND = 256, 20_000, 512
 def model_of(
     source: ReferenceNodeParameters, controller: ControllerNodeParameters, compensator: CompensatorNodeParameters
 ) -> AxisParameters:
-    """Return the axis whose plant is the model that its controller and its compensator have, without a waveform."""
+    """Return the axis whose plant is the model that its controller and its compensator have, without a waveform.
+
+    Its measurements have no offset of a preload, as its references have none.
+    """
     shared: dict[str, Any] = {"time_mode": "lockstep", "faults": (), "external_plant": False}
     plant = PlantNodeParameters(
         sample_rate=source.sample_rate,
@@ -84,7 +88,6 @@ def model_of(
         hysteresis=compensator.hysteresis,
         creep=compensator.creep,
         dynamics=controller.model.dynamics,
-        preload=controller.model.preload,
         force_sensor=ForceSensorParameters.from_mapping(controller.model.force.to_mapping()),
         safe_voltage=compensator.safe_voltage,
         overtravel=-1.0,
@@ -95,7 +98,12 @@ def model_of(
         namespace="",
         plant_simulator=plant,
         reference_generator=replace(source, waveform=WaveformParameters(), **shared),
-        motion_controller=replace(controller, learning=LearningParameters(), **shared),
+        motion_controller=replace(
+            controller,
+            model=replace(controller.model, preload=PreloadParameters()),
+            learning=LearningParameters(),
+            **shared,
+        ),
         hysteresis_compensator=replace(compensator, adaptation=AdaptationParameters(), **shared),
         recorder=RecorderNodeParameters(),
     )

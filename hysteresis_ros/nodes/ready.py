@@ -31,6 +31,7 @@ from std_msgs.msg import Bool, Float64, String
 
 from hysteresis_ros import signals
 from hysteresis_ros.loop.parameters import CompensatorNodeParameters, ControllerNodeParameters
+from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.references.moves import Noise, NoiseMeter, Readiness
 
@@ -65,14 +66,14 @@ class MoveToReady:
         self.missing = 0
         self.begun = self.done = False
 
-    def look(self, number: int, row) -> bool:
-        """Add a sample and its number; return whether the axis is ready."""
+    def look(self, number: int, row, zero: float) -> bool:
+        """Add a sample and its number; return whether the axis is ready. ``zero`` [m]: of the measurements."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:
                 return False
             self.begun = True
-        measured = math.nan if row[signals.SKIPPED] else row[signals.MEASURED]
+        measured = math.nan if row[signals.SKIPPED] else row[signals.MEASURED] - zero
         if not self.done and len(self.measured) < MOST:
             self.measured.append(measured)
             self.missing += math.isnan(measured)
@@ -127,6 +128,13 @@ class Thread:
         self._jobs.put(None)
 
 
+def _offset(controller: dict) -> float:
+    """Return the offset of the preload [m] in the parameters of a controller."""
+    start = "model.preload."
+    given = {name.removeprefix(start): value for name, value in controller.items() if name.startswith(start)}
+    return PreloadParameters.from_mapping(given).offset
+
+
 class ReadyTopics:
     """Predicts and measures when the moves of a reference generator are ready."""
 
@@ -140,6 +148,8 @@ class ReadyTopics:
         node._topic_handles.append((node.destroy_service, service))
         self._thread = Thread(lambda text: node.warn("prediction", text))
         self._given: dict[str, dict] = {}
+        #: Offset of the preload [m] that the controller subtracts from the measurements; references are without it.
+        self.zero = 0.0
         self._predictor: Predictor | None = None
         self._stale = True
         #: Whether the axis has moved without the predictor.
@@ -187,6 +197,8 @@ class ReadyTopics:
             if node in KINDS:
                 before = {} if action == signals.CONFIGURED else self._given.get(node, {})
                 self._given[node] = {**before, **parameters}
+                if node == signals.CONTROLLER:
+                    self.zero = _offset(self._given[node])
             elif node != signals.SOURCE or not any(name.startswith("shaping.") for name in parameters):
                 return  # nothing of the loop that is predicted
         except (ValueError, KeyError, TypeError):
@@ -291,7 +303,7 @@ class ReadyTopics:
         if self.move is not None:
             self._take(self.move, number, row)
         missing = row[signals.SKIPPED] or row[signals.TRIPPED]
-        self._block.append((row[signals.REFERENCE], math.nan if missing else row[signals.MEASURED]))
+        self._block.append((row[signals.REFERENCE], math.nan if missing else row[signals.MEASURED] - self.zero))
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
@@ -301,7 +313,7 @@ class ReadyTopics:
             if self.move is not None:
                 self._take(self.move, number, row)
         missing = (table[signals.SKIPPED] != 0.0) | (table[signals.TRIPPED] != 0.0)
-        measured = np.where(missing, math.nan, table[signals.MEASURED])
+        measured = np.where(missing, math.nan, table[signals.MEASURED] - self.zero)
         self._block.extend(zip(table[signals.REFERENCE].tolist(), measured.tolist(), strict=True))
         self._meter_noise()
 
@@ -319,7 +331,7 @@ class ReadyTopics:
         if move.begun and row[signals.SETPOINT] != move.setpoint and move.path is None:
             self.stop("the setpoint was changed without a move")
             return
-        ready = move.look(number, row)
+        ready = move.look(number, row, self.zero)
         if ready and not move.done:
             move.done = True
             self._say(move=move.number, ready=move.readiness.since, missing=move.missing)

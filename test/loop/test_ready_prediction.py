@@ -54,6 +54,13 @@ def test_the_first_sample_of_a_stay_that_is_long_enough():
     assert math.isinf(entry(error, 2.0, 4)) and entry(error, 9.0, 7) == 0
 
 
+def test_the_offset_of_a_preload_in_the_controller_changes_no_prediction(model):
+    axis = single_axis(load_configuration("stage700").override("motion_controller", model__preload__A1=7e-6))
+    shifted = model_of(axis.generator, axis.motion_controller, axis.hysteresis_compensator)
+    found = [Predictor(one).predict(12e-6, LENGTH, TOLERANCE, DWELL, QUIET) for one in (model, shifted)]
+    assert found[0] == found[1] and math.isfinite(found[0])
+
+
 def test_a_plant_that_is_the_model_is_predicted_to_the_sample(model):
     true, _ = run(model, MOVES[:3])
     predictor = Predictor(model)

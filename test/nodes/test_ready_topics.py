@@ -278,12 +278,30 @@ def test_only_changes_of_the_loop_make_the_predictor_stale():
         assert monitor.ready._stale is stale, entry
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_zero_that_a_controller_subtracts_is_no_error_of_a_move(whole):
+    """Every identified file has one: the axis is at its setpoint when it measures setpoint and zero."""
+    monitor, zero = Monitor(), 7e-6
+    entry = {"node": "motion_controller", "action": signals.CONFIGURED, "parameters": {"model.preload.A1": zero}}
+    monitor.ready._on_change(String(data=json.dumps(entry)))
+    monitor.ready._stale = False
+    monitor.ready.begin(0.0, 5e-6)
+    if whole:
+        table = np.zeros((len(signals.SIGNALS), 15))
+        table[signals.SETPOINT], table[signals.MEASURED] = 5e-6, 5e-6 + zero
+        monitor.ready.look_at_all(0, table)
+    else:
+        for _ in range(15):
+            monitor.samples(zero)
+    assert monitor.told["ready"] is True and len(monitor.entry("ready")) == 1
+
+
 def test_a_move_begins_with_its_setpoint_and_a_trajectory_with_its_first_sample():
     row = [0.0] * len(signals.SIGNALS)
     readiness = SimpleNamespace(look=lambda *_: True)
-    assert not MoveToReady(1, 5, 3e-6, readiness, None).look(5, row)
+    assert not MoveToReady(1, 5, 3e-6, readiness, None).look(5, row, 0.0)
     path = MoveToReady(1, 5, 3e-6, readiness, {"times": (1.0,)})
-    assert not path.look(4, row) and path.look(5, row) and len(path.measured) == 1
+    assert not path.look(4, row, 0.0) and path.look(5, row, 0.0) and len(path.measured) == 1
 
 
 def test_an_axis_that_has_not_rested_is_not_metered_and_one_that_has_is():
