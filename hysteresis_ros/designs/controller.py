@@ -181,6 +181,9 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
         )
     higher = found.get(f"metrics.{SMALL_LOOP_GAIN}", 0.0)
     gain = 1.0 + 0.01 * max(float(higher), 0.0) if isinstance(higher, (int, float)) else 1.0
+    stated = found.get(f"{start}gain", 1.0)
+    if isinstance(stated, (int, float)):
+        gain = max(gain, float(stated))
     return ResponseUncertainty(frequencies, relative, known_to, crossover, gain)
 
 

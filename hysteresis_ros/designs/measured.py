@@ -117,6 +117,7 @@ def entries(found: ResponseUncertainty, axis: str = "") -> dict:
         f"{start}frequencies": tuple(float(f"{value:.6g}") for value in found.frequencies),
         f"{start}uncertainty": tuple(float(f"{value:.3g}") for value in found.relative),
         **known,
+        **({f"{start}gain": found.gain} if found.gain > 1.0 else {}),
     }
 
 

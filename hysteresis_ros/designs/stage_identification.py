@@ -175,6 +175,10 @@ class _Plant:
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
+#: Gain of the held-out data, relative to that of the written file, above which a design considers it.
+DEVIATING = 1.1
+
+
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """A realisation that was held out, in steady state and without its mean."""
@@ -192,6 +196,19 @@ class HeldOut:
     def motion(self) -> np.ndarray:
         """RMS motion of each output [m]."""
         return np.sqrt(np.mean(self.measured**2, axis=0))
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Factor on the prediction of each output with which it is closest to the measurement; 1 without motion."""
+        square = np.sum(self.predicted**2, axis=0)
+        return np.where(
+            square > 0.0, np.sum(self.predicted * self.measured, axis=0) / np.where(square, square, 1.0), 1.0
+        )
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """RMS error of each output with this factor [m]."""
+        return np.sqrt(np.mean((self.gains * self.predicted - self.measured) ** 2, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,16 +332,18 @@ def identify_stage(
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
     known = _uncertainties(parameters, analyses)
+    held_out, deviating = None, list[str]()
+    if judged is not None and data is not None:
+        held_out = _held_out(parameters, data, request.held_out)
+        known, deviating = _with_gains(known, held_out, names)
     measured = 0.0 if noise is None else float(np.max(noise))
     level = request.noise or measured or None  # a simulated plant has no noise
     text, designs, why = design_identified(text, parameters, request, level, analyses, known)
-    warnings += why
+    warnings += deviating + why
     designed = parse_configuration(text, "the identified stage")
     parameters = StageParameters.from_configuration(designed)
     figures = _figures(responses, plant, held, noise, names, data) | deviations
-    held_out = None
-    if judged is not None and data is not None:
-        held_out = _held_out(parameters, data, request.held_out)
+    if held_out is not None:
         figures |= {f"file_{name}_rmse_m": float(v) for name, v in zip(names, held_out.errors, strict=True)}
     if into is not None:
         text = put_into(into, designed, parameters)
@@ -786,6 +805,23 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
             model = plant_state_space(axis.motion_controller.model.dynamics).response(z)[:, 0, 0]
             found[name] = measured_plant(analysis, model).uncertainty(model, response.sample_time)
     return found
+
+
+def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncertainties, list[str]]:
+    """Return uncertainties with the gains that the held-out data show above those of the file, and what to tell.
+
+    The hysteresis of slow loops gives small, fast movements another gain than they have, if it is of another class.
+    """
+    found, said = dict(known), []
+    for name, gain in zip(names, held_out.gains, strict=True):
+        if gain > DEVIATING:
+            said.append(
+                f"axis {name}: the held-out multisine has {gain:.3g} times the gain of the file with the hysteresis of "
+                "the loops; a design keeps its margins with both gains"
+            )
+            if name in known:
+                found[name] = replace(known[name], gain=float(f"{gain:.3g}"))
+    return found, said
 
 
 def design_identified(

@@ -28,7 +28,7 @@ import hysteresis_ros as hr  # noqa: E402
 from hysteresis_ros.analysis.stage_identification_report import write_stage_identification_report  # noqa: E402
 from hysteresis_ros.configuration import load_configuration, parse_configuration  # noqa: E402
 from hysteresis_ros.designs import stage_identification  # noqa: E402
-from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
+from hysteresis_ros.designs.coupled import response_uncertainties, stage_rows  # noqa: E402
 from hysteresis_ros.designs.setpoint_step import at_setpoint  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
 from hysteresis_ros.designs.stage_frequency_response import (  # noqa: E402
@@ -336,6 +336,23 @@ def test_what_is_held_out_does_not_change_the_response():
     # without a realisation that is held out, all of them count
     assert level_responses(data, 0)[1] is None
     assert not np.array_equal(level_responses(data, 0)[0][0].response.response, plain.response.response)
+
+
+@pytest.mark.parametrize(("times", "borne"), [(1.0, 1.0), (1.5, 1.5)])
+def test_a_gain_that_the_loops_do_not_show_is_borne_by_the_design(times, borne):
+    """A hysteresis of another class gives fast, small movements another gain than that of the slow loops."""
+    reading, request = recorded(excitation()), StageRequest(controller="none", order=4)
+    triangle = 25.0 * (1.0 - np.abs(np.linspace(-1.0, 1.0, 2001)))
+    cycles = np.concatenate([np.tile(triangle, 3), np.zeros(500)])
+    still = np.zeros_like(cycles)
+    alone = np.concatenate([np.stack([cycles, still], 1), np.stack([still, cycles], 1)])
+    loops = recorded(alone, plant(CROSSTALK / times))
+    found = identify_stage(reading, realisations(reading), request, loops)
+    np.testing.assert_allclose(found.held_out.gains, times, rtol=0.05)
+    assert np.all(found.held_out.shapes < 0.05 * found.held_out.motion)
+    known = response_uncertainties(parse_configuration(found.text, "found"), found.parameters)
+    assert [one.gain for one in known.values()] == pytest.approx([borne, borne], rel=0.05)
+    assert sum("times the gain of the file" in text for text in found.warnings) == 2 * (times > 1.0)
 
 
 def test_noise_is_told_from_the_response(linear):

@@ -38,8 +38,9 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
-#: Largest error of the model on the held-out data, as a fraction of the motion.
-UNFIT = 0.2
+#: Largest error of the model on the held-out data apart from its gain, as a fraction of the motion; largest factor
+#: between the gains, which the design bears, and smallest factor worth a word.
+UNFIT, STEEPEST, DEVIATES = 0.2, 2.0, 0.1
 #: Largest error of the hysteresis on its loops, as a fraction of the stroke.
 LOOSE = 0.05
 
@@ -60,13 +61,21 @@ def identify_coupled(situation: StageSituation) -> Outcome:
     if held is None:
         raise CommissioningError("no realisation was held out; begin anew in another --directory")
     lines = [f"{found.figures['type']} of order {found.figures['order']}, {found.figures['lines']} lines"]
-    for name, error, motion in zip(situation.names, held.errors, held.motion, strict=True):
+    errors = zip(situation.names, held.errors, held.shapes, held.gains, held.motion, strict=True)
+    for name, error, shape, gain, motion in errors:
         percent = found.figures[f"loops_{name}_rmse_percent_of_stroke"]
+        own = f" ({100.0 * shape / motion:.2g} % with {gain:.3g} times the gain)" if abs(gain - 1.0) > DEVIATES else ""
         lines.append(
-            f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion; loops "
-            f"{percent:.2g} % of the stroke"
+            f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion{own}; "
+            f"loops {percent:.2g} % of the stroke"
         )
-        if error > UNFIT * motion or percent > 100.0 * LOOSE:
+        if not 1.0 / STEEPEST < gain < STEEPEST:
+            raise CommissioningError(
+                f"{lines[-1]}: more than twice or less than half the gain: the model is not fit for feedback. It is in "
+                f"{situation.folder.path / IDENTIFIED}; choose another with "
+                "--resume --model NAME (hysteresis models), or check that nothing else moves the stage"
+            )
+        if shape > UNFIT * motion or percent > 100.0 * LOOSE:
             raise CommissioningError(
                 f"{lines[-1]}: more than {100.0 * UNFIT:g} % of the motion, or {100.0 * LOOSE:g} % of the stroke: the "
                 f"model is not fit for feedback. It is in {situation.folder.path / IDENTIFIED}; choose another with "
