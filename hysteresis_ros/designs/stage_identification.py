@@ -121,6 +121,9 @@ class StageRequest:
         Damping to design; by default integral resonant control, if it helps.
     noise : float, optional
         RMS noise of the sensors [m] for the design; by default the measured noise.
+    resting_noise : tuple of float
+        RMS noise of each sensor [m], measured at rest; empty: that of the recording, in which every irregularity of the
+        excitation counts as noise.
     response : path-like, optional
         For type ``hammerstein``: the response matrix that ``hysteresis frf`` wrote for the stage (NPZ). The structure
         and the models of the axes are fitted to it, and its bands are those of the designs. The recording determines
@@ -140,6 +143,7 @@ class StageRequest:
     controller: str = "pid"
     damping: str | None = None
     noise: float | None = None
+    resting_noise: tuple[float, ...] = ()
     response: str | os.PathLike | None = None
     progress: Callable[[str], None] | None = field(default=None, compare=False)
 
@@ -318,7 +322,7 @@ def identify_stage(
             responses: tuple[ResponseMatrix, ...] = (response_without_periods(reading),)
         else:
             responses, judged = level_responses(data, request.held_out)
-    noise = _noise(responses[0], data)
+    noise = np.array(request.resting_noise) if request.resting_noise else _noise(responses[0], data)
     if request.response is not None:
         responses = (_measured_matrix(request.response, names, reading),)
     warnings = [text for one in responses for text in one.response.warnings]

@@ -338,6 +338,14 @@ def test_what_is_held_out_does_not_change_the_response():
     assert not np.array_equal(level_responses(data, 0)[0][0].response.response, plain.response.response)
 
 
+def test_the_noise_that_was_measured_at_rest_is_that_of_the_file():
+    """A recording with irregular samples has noise that no sensor has, here 50 times as much."""
+    reading = recorded(excitation(), noise=1e-7)
+    request = StageRequest(controller="none", order=4, resting_noise=(2e-9, 3e-9))
+    found = identify_stage(reading, realisations(reading), request)
+    assert [axis.plant_simulator.sensor.noise for axis in found.parameters.axes] == [2e-9, 3e-9]
+
+
 @pytest.mark.parametrize(("times", "borne"), [(1.0, 1.0), (1.5, 1.5)])
 def test_a_gain_that_the_loops_do_not_show_is_borne_by_the_design(times, borne):
     """A hysteresis of another class gives fast, small movements another gain than that of the slow loops."""

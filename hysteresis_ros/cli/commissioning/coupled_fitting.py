@@ -53,6 +53,7 @@ def identify_coupled(situation: StageSituation) -> Outcome:
         axes=situation.names,
         model=situation.model,
         controller="none",
+        resting_noise=tuple(situation.figures("noise")[name]["noise_rms_m"] for name in situation.names),
         progress=lambda text: situation.progress(0, text),
     )
     found = identify_stage(reading, data, request, loops)
