@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -40,6 +41,7 @@ from hysteresis_ros.cli.commissioning.situation import (
 from hysteresis_ros.cli.commissioning.stages import commission
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.designs.stage_identification import HeldOut
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import simulate_stage
@@ -418,28 +420,43 @@ def test_a_scan_beyond_the_range_of_an_axis_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("error", "loops", "said"),
-    [(0.19, 4.9, ""), (0.21, 1.0, "21 % of the motion"), (0.01, 5.1, "5.1 % of the stroke: more than 20 %")],
+    ("error", "gain", "loops", "refused", "said"),
+    [
+        (0.19, 1.0, 4.9, False, "19 % of the motion; loops 4.9 %"),
+        (0.21, 1.0, 1.0, True, "21 % of the motion"),
+        (0.01, 1.0, 5.1, True, "5.1 % of the stroke: more than 20 %"),
+        (0.04, 1.55, 1.0, False, r"36 % of the motion \(4 % with 1.55 times the gain\)"),
+        (0.21, 1.55, 1.0, True, r"\(21 % with 1.55 times the gain\)"),
+        (0.01, 2.1, 1.0, True, "more than twice or less than half the gain"),
+        (0.01, 0.45, 1.0, True, "more than twice or less than half the gain"),
+    ],
 )
-def test_a_model_that_fits_one_of_both_recordings_only_is_refused(tmp_path, monkeypatch, error, loops, said):
+def test_a_model_of_another_shape_than_one_recording_or_of_twice_the_gain_is_refused(
+    tmp_path, monkeypatch, error, gain, loops, refused, said
+):
     figures = {f"loops_{name}_rmse_percent_of_stroke": loops if name == "y" else 1.0 for name in "xy"}
     figures |= {"type": "hammerstein", "order": 4, "lines": 9}
-    held = SimpleNamespace(errors=np.array([1e-8, error * 1e-6]), motion=np.array([1e-6, 1e-6]))
-    found = SimpleNamespace(text="", figures=figures, held_out=held, warnings=())
+    phase = 2.0 * np.pi * np.arange(400) / 400
+    # the error has another frequency than the motion, so it is no gain; the motion is 1 µm RMS
+    own, other = (np.sqrt(2.0) * 1e-6 * np.sin(times * phase) for times in (1, 2))
+    measured = np.sqrt(1.0 - error**2) * own + error * other
+    y = np.sqrt(1.0 - error**2) / gain * own
+    held = HeldOut(phase, np.stack([own, measured], 1), np.stack([own, y], 1))
+    found, asked = SimpleNamespace(text="", figures=figures, held_out=held, warnings=()), []
     monkeypatch.setattr(fitting, "identification_data", lambda *given: (None, None))
     monkeypatch.setattr(fitting, "reading_of", lambda *given: None)
-    monkeypatch.setattr(fitting, "identify_stage", lambda *given: found)
+    monkeypatch.setattr(fitting, "identify_stage", lambda *given: asked.append(given[2]) or found)
     monkeypatch.setattr(fitting, "write_file", lambda *given: None)
     monkeypatch.setattr(fitting, "_pictures", lambda *given: [])
     monkeypatch.setattr(Folder, "recording", lambda *given: None)
-    situation = sitting(tmp_path)
-    if not said:
-        assert (
-            "y: held out 0.19 µm RMS, 19 % of the motion; loops 4.9 %" in fitting.identify_coupled(situation).lines[2]
-        )
-        return
-    with pytest.raises(CommissioningError, match=f"y: held out .*{said}.*the model is not fit for feedback"):
-        fitting.identify_coupled(situation)
+    noise = {name: {"noise_rms_m": level} for name, level in (("x", 7e-9), ("y", 3e-9))}
+    situation = replace(sitting(tmp_path), found={"noise": Outcome([], noise)})
+    if refused:
+        with pytest.raises(CommissioningError, match=f"y: held out .*{said}.*the model is not fit for feedback"):
+            fitting.identify_coupled(situation)
+    else:
+        assert re.search(said, fitting.identify_coupled(situation).lines[2])
+    assert asked[0].resting_noise == (7e-9, 3e-9)
 
 
 def test_loops_are_designed_for_the_noisiest_sensor_and_must_be_stable_together(done, monkeypatch):
