@@ -233,6 +233,7 @@ def test_few_samples_are_interpreted_and_many_or_cached_ones_compiled(monkeypatc
     assert machine_code is not _double and machine_code is run(1)
     machine_code(values)
     assert values.tolist() == [2.0, 2.0, 2.0]
+    assert machine_code.targetoptions["nogil"], "a loop with a driver in Python would wait for each such call"
     # another process, which finds the kernel in the cache
     for name in ("_compiled", "_interpreted"):
         monkeypatch.setattr(block, name, {})

@@ -191,7 +191,7 @@ class AxisArray:
         self._pool = ThreadPoolExecutor(self._threads - 1, "axes") if self._threads > 1 else None
         nothing = np.zeros((1, 1)), np.zeros(0), np.zeros((1, 0, 1))
         self._stored = Stored(axis.laws, _at_places(axis.parts, self.memory, iter(self.places)))
-        compute = specialised(ticks_of_all, self._stored, self.stride, 0, self.rows, *nothing, nogil=True)
+        compute = specialised(ticks_of_all, self._stored, self.stride, 0, self.rows, *nothing)
         self._compute: Callable[..., None] = direct(compute)
         self.sample = 0
 

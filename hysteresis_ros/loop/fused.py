@@ -213,8 +213,6 @@ INTERPRETED_RATE = 200.0
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
-#: Time from the start to the first sample [ns].
-LEAD = 5_000_000
 #: Polling interval for an accepted request [s].
 LOOK = 2e-4
 #: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks, which may take
@@ -261,7 +259,7 @@ def machine(axis: Axis | Stage, own: Pace):
         part = Alone(axis.laws, axis.parts)
         step = specialised(ticks, *part, own.given, own.column[0], own.row[0], WHOLE)
     arguments = step, part, own, int(axis.kind.motor)
-    return specialised(pace, *arguments, nogil=True), arguments
+    return specialised(pace, *arguments), arguments
 
 
 class FusedLoop:
@@ -299,7 +297,7 @@ class FusedLoop:
         self._events_read = 0
         self._ending = False
         self._thread: threading.Thread | None = None
-        self._begun = threading.Event()
+        self._over = threading.Event()
         self._double = copy.deepcopy(axis)
         self._double_own = pace_arrays(self._double)
         self._reader = self.reader()
@@ -312,12 +310,13 @@ class FusedLoop:
         if self.running:
             raise RuntimeError("the loop is already running")
         self._ending = False
-        self._state[at.LEAVE] = 0
+        self._state[at.LEAVE] = self._state[at.ORIGIN] = 0
         self._offset = time.time_ns() - time.monotonic_ns()
-        self._begun.clear()
+        self._over.clear()
         self._thread = threading.Thread(target=self._run, name="fused loop", daemon=True)
         self._thread.start()
-        self._begun.wait()
+        while not (self._state[at.ORIGIN] or self._over.wait(LOOK)):
+            pass
 
     @property
     def origin(self) -> int:
@@ -392,15 +391,12 @@ class FusedLoop:
         except Exception as error:
             self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
         finally:
-            self._begun.set()
+            self._over.set()
             self.axis.sample = self.sample
 
     def _run_loop(self) -> None:
         """Run the compiled loop, and start it again each time a part has been replaced."""
         state = self._state
-        ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
-        state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
-        self._begun.set()
         while True:
             run, arguments = machine(self.axis, self._own)
             run(*arguments)

@@ -145,9 +145,9 @@ class Pace(NamedTuple):
 # BUSY, BUSIEST: total and longest computing time of samples [ns]. IN_ROW: skipped samples in a row.
 SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9)
 # State, written by other threads. LEAVE: 1 ends the loop before the next sample. UNTIL: sample before which the loop
-# ends, 0: never. POSTED: number of posts. ORIGIN: time of sample 0 [ns]. PERIOD: sample time [fs]. UNPACED: 1 runs the
-# loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of the last requested pause.
-# RESUMED: number of the last pause that is over.
+# ends, 0: never. POSTED: number of posts. ORIGIN: time of sample 0 [ns], 0: not started. PERIOD: sample time [fs].
+# UNPACED: 1 runs the loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of the last
+# requested pause. RESUMED: number of the last pause that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
 # PAUSED: number of the last pause that has begun. AT_WORK: start of the sample in progress [ns], 0: none.
 PAUSED, AT_WORK = 18, 19
@@ -191,6 +191,8 @@ CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
 FEMTO = 1_000_000
+#: Time from the start to the first sample [ns].
+LEAD = 5_000_000
 
 if COMPILED:
     from numba import types
@@ -415,6 +417,9 @@ def pace(step, part, own, motor):
     state, timespec = own.state, own.timespec
     axes = own.column.shape[0]
     now = clock(timespec)
+    if state[ORIGIN] == 0:
+        # the call itself takes milliseconds for the arrays of a stage, so the clock starts within it
+        state[ORIGIN] = now + LEAD - deadline_of(state)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
         if state[PAUSE] != state[RESUMED]:
             now = pause(state, timespec)

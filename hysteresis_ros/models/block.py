@@ -401,8 +401,10 @@ def kernels_of(*names: str):
     return mark
 
 
-def specialised(function, *arguments, nogil: bool = False):
+def specialised(function, *arguments):
     """Return the machine code of a composite for arguments of these types (the function itself without Numba).
+
+    Calls release Python's lock, so that a loop whose driver is written in Python does not wait for them.
 
     Parameters
     ----------
@@ -411,8 +413,6 @@ def specialised(function, *arguments, nogil: bool = False):
     *arguments
         Arguments of its calls: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`, and functions
         that this function returned.
-    nogil : bool
-        Release Python's lock during the call.
     """
     if not COMPILED:
         return function
@@ -420,7 +420,7 @@ def specialised(function, *arguments, nogil: bool = False):
     if key not in _compiled:
         kinds = numba.void(*map(_type_of, arguments))
         with _cache_directory():
-            _compiled[key] = numba.njit(kinds, nogil=nogil, **_OPTIONS)(function)
+            _compiled[key] = numba.njit(kinds, nogil=True, **_OPTIONS)(function)
         with contextlib.suppress(OSError):
             _mark_of(function, arguments).touch()
     return _compiled[key]

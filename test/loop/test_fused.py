@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -65,6 +66,31 @@ def test_the_schedule_of_a_motor_holds_until_somebody_gives_a_setpoint():
     other.start()
     other.join()
     assert set(other.take().table[signals.SETPOINT]) == {1e-5}
+
+
+def test_the_clock_starts_when_the_compiled_loop_runs(monkeypatch):
+    """What comes before the first sample, such as the arrays of a stage on their way into the loop, costs no sample."""
+    prepared, compiled = [], fused.machine
+
+    def machine(*arguments):
+        made = compiled(*arguments)
+        time.sleep(2e-9 * pacing.LEAD)
+        prepared.append(time.monotonic_ns())
+        return made
+
+    loop, _ = made_loop(factor=0.1)
+    monkeypatch.setattr(fused, "machine", machine)
+    for _ in range(2):
+        first = loop.sample
+        loop.start()
+        assert loop.origin - loop._offset + deadlines(loop, first) >= prepared[-1] + pacing.LEAD
+        until(lambda first=first: loop.sample > first)
+        loop.leave()
+
+
+def deadlines(loop, sample: int) -> int:
+    """Return the time from sample 0 to a sample [ns]."""
+    return sample * int(loop._state[pacing.PERIOD]) // pacing.FEMTO
 
 
 def test_it_goes_on_where_it_left():
