@@ -49,8 +49,8 @@ test: setup kernels
 # What continuous integration runs: every check and every test, none skipped because a tool is missing. The tests of the
 # folders in COVERED are those of `coverage`.
 ci: setup-all
-	$(MAKE) --no-print-directory -j2 lint kernels
-	$(MAKE) --no-print-directory coverage
+	$(MAKE) --no-print-directory kernels
+	$(MAKE) --no-print-directory -j2 lint coverage
 	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,$(COVERED))
 
 # Lines that ran, by the tests of the same folders, apart from `make test`, so that no test against the clock is slowed.
