@@ -396,6 +396,7 @@ class MotionControllerNode(Responder):
         values = {
             "rejected_measurements": self.rejected,
             "command_m": f"{self.command:.9g}",
+            "offset_m": f"{self.parameters.model.preload.offset:.9g}",
             "stale": self.stale,
             "mode": MODE_NAMES[self._mode],
             "saturated_commands": self.shortfall.count,

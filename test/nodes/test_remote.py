@@ -25,7 +25,9 @@ from nodes_support import InProcess, axis_parameters, compose  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
-from hysteresis_ros.nodes.remote.commands import (  # noqa: E402  # noqa: E402
+from hysteresis_ros.nodes.remote.commands import (  # noqa: E402
+    _axis,
+    _lines,
     _require_moving,
     call,  # noqa: E402
     echo,  # noqa: E402
@@ -193,6 +195,7 @@ def test_status_says_who_is_there_and_where_the_axis_is(axis, client, capsys):
     assert all(one["rate_hz"] is not None and one["level"] for one in found["nodes"].values())
     assert found["last"]["setpoint"] == node(axis, "reference_generator").setpoint
     assert {"reference", "displacement", "voltage"} <= found["last"].keys()
+    assert found["last"]["offset"] == node(axis, "motion_controller").parameters.model.preload.offset
     call(client, "hysteresis_compensator", "deactivate")
     try:
         assert status(client, as_json=False) == 1
@@ -200,6 +203,16 @@ def test_status_says_who_is_there_and_where_the_axis_is(axis, client, capsys):
         assert "hysteresis_compensator  inactive" in text and "displacement" in text
     finally:
         call(client, "hysteresis_compensator", "activate")
+
+
+def test_status_tells_the_offset_of_the_displacement_from_the_setpoints():
+    names, last = ["motion_controller", "plant_simulator"], {"setpoint": 43e-6, "displacement": 50e-6}
+    for offset, said in (("7e-06", "displacement 50 µm with an offset of 7 µm"), ("0", "displacement 50 µm")):
+        reports = {"/x/motion_controller": (0, "OK", {"offset_m": offset})}
+        found = _axis(SimpleNamespace(timeout=1.0), "/x", names, {}, reports, last)
+        assert found.last == {**last, "offset": float(offset)} and "offset" not in last
+        line = list(_lines(found))[-1]
+        assert said in line and ("offset" in line) == (offset != "0")
 
 
 def test_echo_ends_after_as_many_messages_as_were_asked_for(client, capsys):

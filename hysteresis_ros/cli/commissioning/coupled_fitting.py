@@ -39,7 +39,7 @@ from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
 #: Largest error of the model on the held-out data apart from its gain, as a fraction of the motion; largest factor
-#: between the gains, which the design bears, and smallest factor worth a word.
+#: between the gains, with which a design keeps its margins, and smallest deviation of the gain that is stated.
 UNFIT, STEEPEST, DEVIATES = 0.2, 2.0, 0.1
 #: Largest error of the hysteresis on its loops, as a fraction of the stroke.
 LOOSE = 0.05
@@ -70,16 +70,15 @@ def identify_coupled(situation: StageSituation) -> Outcome:
             f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion{own}; "
             f"loops {percent:.2g} % of the stroke"
         )
+        unfit = ""
         if not 1.0 / STEEPEST < gain < STEEPEST:
+            unfit = "more than twice or less than half the gain"
+        elif shape > UNFIT * motion or percent > 100.0 * LOOSE:
+            unfit = f"more than {100.0 * UNFIT:g} % of the motion, or {100.0 * LOOSE:g} % of the stroke"
+        if unfit:
             raise CommissioningError(
-                f"{lines[-1]}: more than twice or less than half the gain: the model is not fit for feedback. It is in "
+                f"{lines[-1]}: {unfit}: the model is not fit for feedback. It is in "
                 f"{situation.folder.path / IDENTIFIED}; choose another with "
-                "--resume --model NAME (hysteresis models), or check that nothing else moves the stage"
-            )
-        if shape > UNFIT * motion or percent > 100.0 * LOOSE:
-            raise CommissioningError(
-                f"{lines[-1]}: more than {100.0 * UNFIT:g} % of the motion, or {100.0 * LOOSE:g} % of the stroke: the "
-                f"model is not fit for feedback. It is in {situation.folder.path / IDENTIFIED}; choose another with "
                 "--resume --model NAME (hysteresis models), or check that nothing else moves the stage"
             )
     lines += [f"note: {text}" for text in found.warnings]

@@ -155,7 +155,8 @@ class AxisStatus:
     namespace: str
     nodes: list[NodeStatus]
     plant: str = ""  #: External node that publishes ``joint_states``; empty when ``plant_simulator`` does.
-    last: dict[str, float] = field(default_factory=dict)  #: Last values in SI.
+    #: Last values in SI; ``offset``: the part of the displacement that the controller subtracts.
+    last: dict[str, float] = field(default_factory=dict)
     #: Time ahead of a deadline from which a fused loop polls the clock [µs], and its cost in percent of a core.
     spin: tuple[float, float] = (0.0, 0.0)
 
@@ -243,6 +244,9 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
         nodes.append(NodeStatus(full, state, word, message, rate))
     timing = reports.get(f"{space}/plant_simulator", (None, "", {}))[2]
     spin = float(timing.get("spin_us", 0.0)), float(timing.get("spin_percent_of_a_core", 0.0))
+    controlled = reports.get(f"{space}/motion_controller", (None, "", {}))[2]
+    if "offset_m" in controlled:
+        last = {**last, "offset": float(controlled["offset_m"])}
     return AxisStatus(space, nodes, plant, last, spin)
 
 
@@ -306,8 +310,12 @@ def _lines(axis: AxisStatus):
         yield f"  {node.name.rsplit('/', 1)[-1]:{width}}  {node.state:12} {rate:>11}  {health}".rstrip()
     units = {signal: unit for _, signal, unit in LAST} | {"displacement": "m"}
     order = ("setpoint", "reference", "displacement", "voltage")
-    values = [f"{name} {readable(axis.last[name], units[name])}" for name in order if name in axis.last]
-    yield f"  {', '.join(values) or 'no position was reported'}"
+    values = {name: readable(axis.last[name], units[name]) for name in order if name in axis.last}
+    if "displacement" in values and axis.last.get("offset"):
+        offset = readable(axis.last["offset"], "m")
+        values["displacement"] += f" with an offset of {offset}, which setpoints do not have"
+    said = ", ".join(f"{name} {value}" for name, value in values.items())
+    yield f"  {said or 'no position was reported'}"
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
