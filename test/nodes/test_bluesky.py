@@ -76,6 +76,17 @@ def _laboratory(inside, domain, tmp_path, monkeypatch):
     made.stage.close()
 
 
+def plan_of_the_page():
+    """Return the plan ``fly`` of docs/epics.md."""
+    page = (pathlib.Path(__file__).parents[2] / "docs" / "epics.md").read_text(encoding="utf-8")
+    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
+    (snippet,) = [block for block in blocks if "HysteresisAxis" in block]
+    names: dict = {}
+    exec(compile(snippet.partition("RE = ")[0], "docs/epics.md", "exec"), names)
+    assert names["HysteresisAxis"] is HysteresisAxis
+    return names["fly"]
+
+
 def test_an_axis_is_moved_scanned_and_flown(laboratory):
     """A scan reads where it moved; a flight has a sample at each stamp, on the line that was asked for."""
     stage, engine = laboratory.stage, laboratory.engine
@@ -84,16 +95,8 @@ def test_an_axis_is_moved_scanned_and_flown(laboratory):
     assert [one["stage-setpoint"] for one in readings] == pytest.approx([2.0, 3.0, 4.0, 5.0, 6.0])
     assert [one["stage"] for one in readings] == pytest.approx([2.0, 3.0, 4.0, 5.0, 6.0], abs=0.02)
 
-    def fly(flight):
-        yield from bps.open_run()
-        yield from bps.prepare(stage, flight, wait=True)
-        yield from bps.kickoff(stage, wait=True)
-        yield from bps.complete(stage, wait=True)
-        yield from bps.collect(stage)
-        yield from bps.close_run()
-
     laboratory.documents.clear()
-    engine(fly(Flight(3.0, 8.0, 1.0, run_up=0.2)))
+    engine(plan_of_the_page()(stage, Flight(3.0, 8.0, 1.0, run_up=0.2)))
     flown = laboratory.data("stage")
     stamps = np.array([event["timestamps"]["stage"] for event in flown])
     position = np.array([event["data"]["stage"] for event in flown])
@@ -137,13 +140,3 @@ def test_a_device_without_an_axis_says_so(domain, tmp_path, monkeypatch):
         asyncio.run(stage.connect(timeout=0.2))
     with pytest.raises(HysteresisError, match="not connected"):
         asyncio.run(stage.locate())
-
-
-def test_the_plan_of_the_page_is_python():
-    """The lines of docs/epics.md name what exists."""
-    page = (pathlib.Path(__file__).parents[2] / "docs" / "epics.md").read_text(encoding="utf-8")
-    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
-    (snippet,) = [block for block in blocks if "HysteresisAxis" in block]
-    names: dict = {}
-    exec(compile(snippet.partition("RE = ")[0], "docs/epics.md", "exec"), names)
-    assert names["HysteresisAxis"] is HysteresisAxis and callable(names["fly"])
