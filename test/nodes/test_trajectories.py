@@ -30,7 +30,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.loop.description import robot_description  # noqa: E402
-from hysteresis_ros.nodes.trajectories import TrajectoryAction, action_type  # noqa: E402
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402
+from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, action_type  # noqa: E402
 from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 
 SOURCE = "reference_generator"
@@ -267,3 +268,20 @@ def test_the_real_action_moves_the_axis(axis, observer):
     until(result.done, what="the refusal")
     assert result.result().status == GoalStatus.STATUS_ABORTED
     assert "out of range" in result.result().result.error_string
+
+
+def test_the_zero_that_a_controller_subtracts_is_no_error_of_the_path_and_does_not_keep_an_axis_from_settling():
+    """An identified axis measures the zero of its sensor in addition to the position on its path."""
+    row, zero, seen, errors = [0.0] * len(signals.SIGNALS), 7e-6, [], []
+    row[signals.SETPOINT] = row[signals.REFERENCE] = 5e-6
+    row[signals.MEASURED] = 5e-6 + zero
+    settling = SimpleNamespace(look=lambda *given: seen.append(given), settled=True)
+    node = SimpleNamespace(settling=settling, zero=zero, tell_settled=lambda settled: None, row=row, sample=3)
+    ReferenceGeneratorNode.look_at(node, [row])
+    assert seen == [(5e-6, 5e-6, pytest.approx(5e-6, rel=1e-12), False)]
+    node.part = SimpleNamespace(generator=SimpleNamespace(trajectory=(1, HELD)))
+    node.parameters = SimpleNamespace(sample_rate=100.0)
+    move = SimpleNamespace(look=lambda time, trajectory, error: errors.append(error))
+    following = SimpleNamespace(_moves=[(move, None)], _node=node)
+    Trajectories.look(following)
+    assert errors == [pytest.approx(0.0, abs=1e-20)]
