@@ -23,7 +23,7 @@ BRIEFLY := awk '/Downloading .*MB\)/ { gsub(/[(]/, "", $$(NF-1)); if ($$(NF-1) >
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: help setup setup-all demo quick test coverage kernels lint format docs bench ci clean
+.PHONY: help setup setup-all tools demo quick test coverage kernels lint format docs bench ci clean
 .DELETE_ON_ERROR:
 
 help:
@@ -32,7 +32,11 @@ help:
 setup: $(VENV)/installed
 
 # With the tools that check and document the package: what `make ci` needs.
-setup-all: setup $(VENV)/lint-tools $(VENV)/docs-tools $(VENV)/colcon-tools $(VENV)/coverage-tools
+setup-all: tools
+
+# One after the other, because they are installed into the same environment.
+tools: setup
+	@$(MAKE) --no-print-directory -j1 $(addprefix $(VENV)/,lint-tools docs-tools colcon-tools coverage-tools)
 
 demo: setup
 	rm -rf demo
@@ -48,8 +52,8 @@ test: setup kernels
 
 # What continuous integration runs: every check and every test, none skipped because a tool is missing. The tests of the
 # folders in COVERED are those of `coverage`.
-ci: setup-all
-	$(MAKE) --no-print-directory kernels
+ci: setup
+	$(MAKE) --no-print-directory -j2 kernels tools
 	$(MAKE) --no-print-directory -j2 lint coverage
 	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,$(COVERED))
 

@@ -28,7 +28,6 @@ NO_FUSED = {
 PROCESSORS = {
     "Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
     "SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
-    "Zen": {"OPENBLAS_CORETYPE": "Zen"},
     "Prescott, nothing fused": {"OPENBLAS_CORETYPE": "Prescott", **NO_FUSED},
 }
 

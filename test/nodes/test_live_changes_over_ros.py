@@ -65,7 +65,7 @@ def names_of(values: dict) -> set[str]:
     return {name.replace("__", ".") for name in values}
 
 
-@pytest.mark.parametrize(("how", "moments"), [("--composed", 1000), ("--processes", 700)])
+@pytest.mark.parametrize(("how", "moments"), [("--composed", 700), ("--processes", 400)])
 def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp_path, how, moments):
     from sensor_msgs.msg import JointState
 
