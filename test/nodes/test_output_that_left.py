@@ -47,8 +47,8 @@ def recorded(processes, tmp_path, axis):
 
 @pytest.mark.parametrize(
     ("time_mode", "driver"),
-    [("lockstep", ""), ("realtime", ""), ("realtime", "simulated")],
-    ids=["lockstep", "realtime", "driver"],
+    [("lockstep", ""), ("realtime", "simulated")],
+    ids=["lockstep", "driver"],
 )
 def test_a_voltage_that_was_held_back_is_recorded_as_what_left(processes, tmp_path, time_mode, driver):
     from hysteresis_ros.loop.simulation import differences

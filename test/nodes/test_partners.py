@@ -44,7 +44,6 @@ def running(processes, observer, tmp_path, request):
     [
         ("plant_simulator", signal.SIGKILL),
         ("hysteresis_compensator", signal.SIGSTOP),
-        ("reference_generator", signal.SIGSTOP),
         ("motion_controller", signal.SIGTERM),
     ],
 )
@@ -78,7 +77,7 @@ def test_who_is_still_loading_at_the_first_sample_is_waited_for(sample, seconds,
 
 
 @pytest.mark.parametrize("running", [60.0], indirect=True)
-@pytest.mark.parametrize("victim", ["reference_generator", "hysteresis_compensator"])
+@pytest.mark.parametrize("victim", ["hysteresis_compensator"])
 def test_restarted_node_cannot_silently_rejoin(running, processes, victim):
     running[victim].kill()
     processes.node(victim, running["path"])

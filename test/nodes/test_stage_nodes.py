@@ -372,7 +372,6 @@ def test_a_fused_stage_whose_axis_trips_or_loses_its_measurement_is_safe_as_a_wh
     ("mode", "killed"),
     [
         ("lockstep", "motion_controller"),
-        ("realtime", "motion_controller"),
         ("realtime", "plant_simulator"),
         ("fused", "hysteresis_stage"),
     ],

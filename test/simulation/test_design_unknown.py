@@ -106,7 +106,7 @@ def test_no_controller_is_unstable_on_resonances_that_the_recording_did_not_show
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [1000.0, 4000.0])
+@pytest.mark.parametrize("rate", [4000.0])
 def test_no_pid_is_unstable_on_them_at_other_rates(rate):
     """Of seven plants of such modes two were unstable at these rates."""
     step = 1.0 / rate
