@@ -125,13 +125,13 @@ class StageResponse:
             "lowest_hz": float(response.frequency[0]),
             "highest_hz": float(response.frequency[-1]),
             "largest_condition": float(condition.max()),
-            "largest_condition_at_hz": float(response.frequency[condition.argmax()]),
+            "largest_condition_at_hz": float(response.frequency[np.argmax(condition)]),
         }
         for pair, i, j in self._pairs():
             entry = {
                 "gain_m_per_v": float(np.median(size[:LOWEST, i, j])),
                 "largest_m_per_v": float(size[:, i, j].max()),
-                "largest_at_hz": float(response.frequency[size[:, i, j].argmax()]),
+                "largest_at_hz": float(response.frequency[np.argmax(size[:, i, j])]),
                 "signal_to_noise_db": float(ratio[i, j]),
             }
             if self.distortion is not None:

@@ -707,8 +707,8 @@ def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
     errors = np.sqrt(np.mean(np.abs(delays - response.single) ** 2, axis=1))
     least = float(np.sqrt(np.mean(np.abs(fitted - response.single) ** 2)))
     if errors.min() <= max(AXIS_ENOUGH * least, PURE_DELAY):
-        fitted = delays[errors.argmin()]
-        dynamics = LinearParameters(delay=float(samples[errors.argmin()]) * step)
+        fitted = delays[np.argmin(errors)]
+        dynamics = LinearParameters(delay=float(samples[np.argmin(errors)]) * step)
     relative = np.abs(response.single - fitted) / np.maximum(np.abs(fitted), 1e-12)
     values = {f"model.dynamics.{key}": value for key, value in dynamics.to_mapping().items() if value != ()}
     return values | {"model.dynamics.sample_time": step}, 100.0 * float(np.median(relative))
