@@ -316,15 +316,7 @@ def identify_stage(
     if loops is not None and (loops.inputs, loops.outputs) != (reading.inputs, reading.outputs):
         raise DataError("columns", f"{loops.source}: has other inputs or outputs than {reading.source}")
     kind = _kind(data, request, loops)
-    judged = None
-    with correlated_by_name(reading):
-        if data is None:
-            responses: tuple[ResponseMatrix, ...] = (response_without_periods(reading),)
-        else:
-            responses, judged = level_responses(data, request.held_out)
-    noise = np.array(request.resting_noise) if request.resting_noise else _noise(responses[0], data)
-    if request.response is not None:
-        responses = (_measured_matrix(request.response, names, reading),)
+    responses, judged, noise = _responses(reading, data, request, names)
     warnings = [text for one in responses for text in one.response.warnings]
     if kind == INTERNAL and data is not None:
         ends = responses[-1].response.frequency[[0, -1]]
@@ -366,6 +358,20 @@ def identify_stage(
         figures,
         tuple(warnings),
     )
+
+
+def _responses(reading: StageReading, data: StructureData | None, request: StageRequest, names):
+    """Return the response matrices of the levels, the held-out one (or None), and the sensors' noise [m] (or None)."""
+    judged = None
+    with correlated_by_name(reading):
+        if data is None:
+            responses: tuple[ResponseMatrix, ...] = (response_without_periods(reading),)
+        else:
+            responses, judged = level_responses(data, request.held_out)
+    noise = np.array(request.resting_noise) if request.resting_noise else _noise(responses[0], data)
+    if request.response is not None:
+        responses = (_measured_matrix(request.response, names, reading),)
+    return responses, judged, noise
 
 
 def _kind(data: StructureData | None, request: StageRequest, loops: StageReading | None) -> str:

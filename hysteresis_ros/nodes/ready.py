@@ -66,14 +66,14 @@ class MoveToReady:
         self.missing = 0
         self.begun = self.done = False
 
-    def look(self, number: int, row, zero: float) -> bool:
-        """Add a sample and its number; return whether the axis is ready. ``zero`` [m]: of the measurements."""
+    def look(self, number: int, row, offset: float) -> bool:
+        """Add a sample and its number; return whether the axis is ready. ``offset`` [m]: of the measurements."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:
                 return False
             self.begun = True
-        measured = math.nan if row[signals.SKIPPED] else row[signals.MEASURED] - zero
+        measured = math.nan if row[signals.SKIPPED] else row[signals.MEASURED] - offset
         if not self.done and len(self.measured) < MOST:
             self.measured.append(measured)
             self.missing += math.isnan(measured)
@@ -149,7 +149,7 @@ class ReadyTopics:
         self._thread = Thread(lambda text: node.warn("prediction", text))
         self._given: dict[str, dict] = {}
         #: Offset of the preload [m] that the controller subtracts from the measurements; references are without it.
-        self.zero = 0.0
+        self.offset = 0.0
         self._predictor: Predictor | None = None
         self._stale = True
         #: Whether the axis has moved without the predictor.
@@ -198,7 +198,7 @@ class ReadyTopics:
                 before = {} if action == signals.CONFIGURED else self._given.get(node, {})
                 self._given[node] = {**before, **parameters}
                 if node == signals.CONTROLLER:
-                    self.zero = _offset(self._given[node])
+                    self.offset = _offset(self._given[node])
             elif node != signals.SOURCE or not any(name.startswith("shaping.") for name in parameters):
                 return  # nothing of the loop that is predicted
         except (ValueError, KeyError, TypeError):
@@ -303,7 +303,7 @@ class ReadyTopics:
         if self.move is not None:
             self._take(self.move, number, row)
         missing = row[signals.SKIPPED] or row[signals.TRIPPED]
-        self._block.append((row[signals.REFERENCE], math.nan if missing else row[signals.MEASURED] - self.zero))
+        self._block.append((row[signals.REFERENCE], math.nan if missing else row[signals.MEASURED] - self.offset))
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
@@ -313,7 +313,7 @@ class ReadyTopics:
             if self.move is not None:
                 self._take(self.move, number, row)
         missing = (table[signals.SKIPPED] != 0.0) | (table[signals.TRIPPED] != 0.0)
-        measured = np.where(missing, math.nan, table[signals.MEASURED] - self.zero)
+        measured = np.where(missing, math.nan, table[signals.MEASURED] - self.offset)
         self._block.extend(zip(table[signals.REFERENCE].tolist(), measured.tolist(), strict=True))
         self._meter_noise()
 
@@ -331,7 +331,7 @@ class ReadyTopics:
         if move.begun and row[signals.SETPOINT] != move.setpoint and move.path is None:
             self.stop("the setpoint was changed without a move")
             return
-        ready = move.look(number, row, self.zero)
+        ready = move.look(number, row, self.offset)
         if ready and not move.done:
             move.done = True
             self._say(move=move.number, ready=move.readiness.since, missing=move.missing)

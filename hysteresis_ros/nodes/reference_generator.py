@@ -345,17 +345,17 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.ready.fall_silent()
 
     @property
-    def zero(self) -> float:
+    def offset(self) -> float:
         """Part of a measurement that belongs to no reference [m]: the preload's offset in the controller."""
-        return 0.0 if self.ready is None else self.ready.zero
+        return 0.0 if self.ready is None else self.ready.offset
 
     def look_at(self, rows) -> None:
         """Update the settling detection with samples."""
-        look, zero = self.settling.look, self.zero
+        look, offset = self.settling.look, self.offset
         for row in rows:
             if not row[signals.SKIPPED]:  # no measurement
                 stopped = row[signals.TRIPPED] != 0.0
-                look(row[signals.SETPOINT], row[signals.REFERENCE], row[signals.MEASURED] - zero, stopped)
+                look(row[signals.SETPOINT], row[signals.REFERENCE], row[signals.MEASURED] - offset, stopped)
         self.tell_settled(self.settling.settled)
 
     def show_all(self, first: int, table) -> None:

@@ -199,7 +199,7 @@ class Trajectories:
             return
         node = self._node
         row = node.row
-        error = row[signals.MEASURED] - node.zero - row[signals.REFERENCE]
+        error = row[signals.MEASURED] - node.offset - row[signals.REFERENCE]
         self._heard = (node.sample, time.monotonic())
         trajectory = node.part.generator.trajectory
         for move, told in tuple(self._moves):
@@ -330,7 +330,7 @@ class TrajectoryAction:
         for handle in self._goals:
             nodes = self._nodes_of(handle)
             references = [one.row[signals.REFERENCE] for one in nodes]
-            measured = [one.row[signals.MEASURED] - one.zero for one in nodes]
+            measured = [one.row[signals.MEASURED] - one.offset for one in nodes]
             feedback = self._kind.Feedback()
             feedback.joint_names = [one.parameters.joint for one in nodes]
             feedback.desired = JointTrajectoryPoint(positions=references)

@@ -19,6 +19,16 @@ from hysteresis_ros.loop.reach import single_axis
 
 #: A constant reference at the setpoint, for kim2009.
 HOLD = {"reference_generator": {"waveform__type": "hold"}}
+#: A reference of kim2009 with a period of 30 samples, and a controller that learns it.
+TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
+LEARNS = {
+    "learning__type": "repetitive",
+    "learning__period": 0.01,
+    "learning__error_filter": (0.05, 0.1, 0.05),
+    "learning__lead": 4,
+    "learning__robustness_filter": (0.5, 0.25),
+    "learning__maximum": 5e-7,
+}
 
 
 def parameters(name="kim2009", **overrides):

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fused_support import ANY_LATE, assert_twin, change, made_loop, whole
-from loop_support import HOLD, assert_same_bits, axis, parameters
+from loop_support import HOLD, LEARNS, TRIANGLE, assert_same_bits, axis, parameters
 from waiting import until
 
 from hysteresis_ros.cli.commissioning.closed_loop import learned_line
@@ -28,15 +28,6 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis, Change
 
 #: Period of 30 samples.
-TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
-LEARNS = {
-    "learning__type": "repetitive",
-    "learning__period": 0.01,
-    "learning__error_filter": (0.05, 0.1, 0.05),
-    "learning__lead": 4,
-    "learning__robustness_filter": (0.5, 0.25),
-    "learning__maximum": 5e-7,
-}
 N = 30
 
 

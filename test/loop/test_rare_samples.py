@@ -13,22 +13,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loop_support import HOLD, axis, steps
+from loop_support import HOLD, LEARNS, TRIANGLE, axis, steps
 
 from hysteresis_ros.loop.axis import Change
 
 RATE = 3000.0
 #: Period of 30 samples, as in the tests of the learned correction.
 N = 30
-TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
-LEARNS = {
-    "learning__type": "repetitive",
-    "learning__period": 0.01,
-    "learning__error_filter": (0.05, 0.1, 0.05),
-    "learning__lead": 4,
-    "learning__robustness_filter": (0.5, 0.25),
-    "learning__maximum": 5e-7,
-}
 
 
 def test_an_axis_that_rests_is_stopped_by_the_first_measurement_below_its_range():

@@ -39,6 +39,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_support import LEARNS
+from loop_support import TRIANGLE as TAUGHT
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
@@ -440,15 +442,6 @@ LOOPS = {
     "waveform__decaying_sine__decay_time": 0.05,
 }
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 50.0, "waveform__amplitude": 8e-6}
-LEARNS = {
-    "learning__type": "repetitive",
-    "learning__period": 0.01,
-    "learning__error_filter": (0.05, 0.1, 0.05),
-    "learning__lead": 4,
-    "learning__robustness_filter": (0.5, 0.25),
-    "learning__maximum": 5e-7,
-}
-TAUGHT = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
 #: As for a device: short time-outs, and slow ways to the safe values.
 GUARDED = {
     CONTROLLER: {"measurement_timeout": 0.004, "safe_slew_rate": 1e-3, "handover_time": 0.01},

@@ -276,7 +276,7 @@ def test_the_zero_that_a_controller_subtracts_is_no_error_of_the_path_and_does_n
     row[signals.SETPOINT] = row[signals.REFERENCE] = 5e-6
     row[signals.MEASURED] = 5e-6 + zero
     settling = SimpleNamespace(look=lambda *given: seen.append(given), settled=True)
-    node = SimpleNamespace(settling=settling, zero=zero, tell_settled=lambda settled: None, row=row, sample=3)
+    node = SimpleNamespace(settling=settling, offset=zero, tell_settled=lambda settled: None, row=row, sample=3)
     ReferenceGeneratorNode.look_at(node, [row])
     assert seen == [(5e-6, 5e-6, pytest.approx(5e-6, rel=1e-12), False)]
     node.part = SimpleNamespace(generator=SimpleNamespace(trajectory=(1, HELD)))
