@@ -22,8 +22,9 @@ tenth of the filter's weight falls on such samples, the correction is repeated u
 reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes
 an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter
 than after saturation, because one late sample is a small disturbance. When the reference differs from that of the
-previous period, the correction is phased out. In the first period it differs from that of a file while the axis
-approaches the path; there the correction is phased out too, but it stays stored for the second period.
+previous period, the correction is phased out. It differs from that of a file while the axis approaches the path; there
+the correction is phased out too, but it stays stored until the axis reaches the path, or until another reference
+repeats.
 
 References
 ----------
@@ -316,7 +317,10 @@ WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # samples until the response to a saturated command has decayed
 LOST = 6  # value that the ring of errors gets for the samples until then: LIMITED or NaN
-RINGS = 7
+STORED = 7  # samples on the path of a file until its correction counts as that of any other period; 0: it does
+FIRST = 8  # reference of the first sample of this period [m]
+MOVED = 9  # 1: the reference has left that value in this period
+RINGS = 10
 
 #: Modes: the correction repeats, is updated, or fades to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
@@ -406,6 +410,26 @@ def updated(p, x, before, length):
     return repeated
 
 
+@kernel
+def file_stays(p, x, reference):
+    """Return whether the correction of a file stays stored: the axis approaches its path, and nothing else repeats."""
+    if x[STORED] == 0.0:
+        return False
+    repeats = False
+    if x[SAMPLES] % p[PERIOD] == 0.0:
+        repeats = x[MOVED] != 0.0 and abs(reference - x[FIRST]) <= SAME
+        x[FIRST], x[MOVED] = reference, 0.0
+    elif abs(reference - x[FIRST]) > SAME:
+        x[MOVED] = 1.0
+    on_path = x[WEIGHT] == 1.0
+    if x[MODE] == FORGETTING or (repeats and not on_path):
+        x[STORED] = 0.0
+    else:
+        # a reference that crosses the path for a sample has not reached it
+        x[STORED] = x[STORED] - 1.0 if on_path else p[PERIOD] + 2.0
+    return x[STORED] > p[PERIOD]
+
+
 @called
 def learned_correction(p, x, reference, error):
     """Return the correction of the reference [m] in this sample.
@@ -428,7 +452,6 @@ def learned_correction(p, x, reference, error):
     repeated = x[corrections + before]
     value = updated(p, x, before, length) if x[MODE] == LEARNING else repeated
     known = x[references + before]
-    # in the first period there is no earlier reference to compare with, except that of a file
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
         x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
         if x[WEIGHT] == 0.0:
@@ -436,8 +459,7 @@ def learned_correction(p, x, reference, error):
     else:
         x[WEIGHT] = min(x[WEIGHT] + p[FADE], 1.0)
     value = min(max(x[WEIGHT] * value, -p[MAXIMUM]), p[MAXIMUM])
-    # while the axis approaches the path of a file, what is stored stays, because it is right for the second period
-    stays = x[WEIGHT] < 1.0 and x[SAMPLES] < period and x[MODE] != FORGETTING
+    stays = file_stays(p, x, reference)
     x[corrections + now] = repeated if stays else value
     x[errors + now] = math.nan if stays else error
     x[references + now] = known if stays else reference
@@ -516,6 +538,7 @@ class Learning(Block):
             places = np.arange(-length, 0) % period
             rings[0], rings[2] = self._loaded.correction[places], self._loaded.reference[places]
         state = np.zeros(RINGS)
+        state[STORED] = period if self._loaded is not None else 0.0
         state[MODE] = LEARNING if self.parameters.active else FROZEN
         state[WEIGHT] = 1.0
         return np.concatenate([state, rings.ravel()])

@@ -313,7 +313,7 @@ def test_the_correction_of_a_file_is_repeated_until_there_are_errors_to_learn_fr
 
 @pytest.mark.parametrize("learns", [False, True])
 def test_what_a_file_knows_stays_while_the_axis_approaches_its_path(tmp_path, learns):
-    """In the first 12 samples the axis is on its way; the errors there are not those of the path."""
+    """The errors on the way are not those of the path."""
     path, way = tmp_path / "learned.yaml", 12
     correction = 1e-7 * np.random.default_rng(1).standard_normal(N)
     write_learned(path, Learned(N / RATE, 1.0 / RATE, correction, REFERENCE))
@@ -328,6 +328,31 @@ def test_what_a_file_knows_stays_while_the_axis_approaches_its_path(tmp_path, le
     np.testing.assert_array_equal(m[1, :way], correction[:way])
     assert learns == bool(np.any(m[2, :way] != correction[:way]))
     assert learns or np.array_equal(m[2], correction)
+
+
+@pytest.mark.parametrize("fade", [0.0, 4 / RATE])
+def test_what_a_file_knows_stays_during_an_approach_of_several_periods(tmp_path, fade):
+    """The axis first rests at the first value of the path, then approaches it until the middle of the fourth period."""
+    path, rest, way = tmp_path / "learned.yaml", 2 * N, 7 * N // 2
+    correction = 1e-7 * np.random.default_rng(1).standard_normal(N)
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, correction, REFERENCE))
+    block = learning(fade=fade, lead=0, file=str(path))
+    given = np.tile(REFERENCE, 7)
+    given[:rest] = REFERENCE[0]
+    given[rest:way] += np.linspace(-2e-5, -1e-6, way - rest)
+    m, _ = followed(block, (0.0, 0.8), 7, given)
+    np.testing.assert_array_equal(m[3, N // 2 + 4 :], correction[N // 2 + 4 :])
+    np.testing.assert_array_equal(m[4, : N // 2], correction[: N // 2])
+    assert np.any(m[5] != correction)
+
+
+def test_another_path_than_that_of_a_file_is_learned_once_it_repeats(tmp_path):
+    path = tmp_path / "learned.yaml"
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, 1e-7), REFERENCE))
+    given = np.concatenate([np.linspace(0.0, 1e-5, 2 * N), np.tile(2.0 * REFERENCE, 6)])
+    m, e = followed(learning(lead=1, file=str(path)), (0.0, 0.8), 8, given)
+    assert not np.any(m[1:3]) and np.any(m[4])
+    assert np.abs(e[7]).max() < 0.1 * np.abs(e[3]).max()
 
 
 def test_a_file_of_another_path_is_phased_out_for_good(tmp_path):
