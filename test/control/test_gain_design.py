@@ -11,13 +11,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
 from hysteresis_ros.control.kalman import KalmanParameters, filter_gain
-from hysteresis_ros.control.laws.pid import PidParameters, design_pid, pid_state_space, pid_with_zeros
-from hysteresis_ros.control.sliding_gains import scaled
+from hysteresis_ros.control.laws.pid import (
+    PidParameters,
+    design_integral,
+    design_pid,
+    pid_state_space,
+    pid_with_zeros,
+    slowest_poles,
+)
+from hysteresis_ros.control.margins import AIMED, judge, plant_state_space
+from hysteresis_ros.control.sliding_gains import scaled, wandering
 from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
@@ -113,3 +123,101 @@ def test_what_cannot_be_designed_is_refused_by_name(controller, changes, options
 def test_a_pid_reaches_only_what_its_margins_allow(parameters):
     with pytest.raises(ParameterError, match=r"at most [\d.]+ Hz"):
         design_gains(parameters(), "pid", T, bandwidth=1400.0)
+
+
+def modal(*terms):
+    """Parameters of a model that is the sum of share (1 − p)/(z − p) over (p, share), with conjugates of complex p."""
+    blocks, entries, outputs = [], [], []
+    for pole, share in terms:
+        if isinstance(pole, complex):
+            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
+            entries += [share, 0.0]
+            outputs += [1.0, 1.0]
+        else:
+            blocks.append(np.array([[pole]]))
+            entries.append(share * (1.0 - pole))
+            outputs.append(1.0)
+    A, place = np.zeros((len(entries), len(entries))), 0
+    for block in blocks:
+        A[place : place + len(block), place : place + len(block)] = block
+        place += len(block)
+    return LinearParameters(A=tuple(A.ravel()), B=tuple(entries), C=tuple(outputs), input_scale=1.0, output_scale=1e-6)
+
+
+CANCELLED = {
+    "no dynamics": ((), [0.0]),
+    "one lag": ([(0.9, 1.0)], [0.9]),
+    "the two slowest lags": ([(0.5, 0.2), (0.9, 0.4), (0.7, 0.4)], [0.9, 0.7]),
+    "a resonance slower than a lag": ([(0.5, 0.5), (0.8 + 0.4j, 0.1)], [0.8 + 0.4j, 0.8 - 0.4j]),
+    "a lag slower than a resonance": ([(0.6 + 0.3j, 0.1), (0.9, 0.5)], [0.9]),
+    "a resonance between two lags": ([(0.6 + 0.3j, 0.1), (0.4, 0.2), (0.9, 0.5)], [0.9, 0.4]),
+    "a lag of 1.97 % of the step": ([(0.95, 0.0197), (0.8, 0.5803), (0.5, 0.4)], [0.8, 0.5]),
+    "a lag of 2.005 % of the step": ([(0.95, 0.02005), (0.8, 0.57995), (0.5, 0.4)], [0.95, 0.8]),
+    "a falling lag of 2.05 % of the step": ([(0.95, -0.0205), (0.8, 0.6205), (0.5, 0.4)], [0.95, 0.8]),
+    "two lags of little size": ([(0.98, 0.01), (0.95, -0.01), (0.8, 1.0)], [0.8]),
+    "a delay and a lag": ([(0.9, 1.0), (0.995e-3, 0.5)], [0.9]),
+    "a pole that is no delay": ([(0.9, 1.0), (1.005e-3, 0.5)], [0.9, 1.005e-3]),
+    "delays alone": ([(1e-4, 0.5), (-1e-4, 0.5)], [0.0]),
+}
+
+
+@pytest.mark.parametrize(("terms", "expected"), CANCELLED.values(), ids=CANCELLED)
+def test_the_slowest_poles_that_matter_are_cancelled(terms, expected):
+    """A delay cannot be cancelled, and a pole with a zero near it (less than 2 % of the step response) need not be."""
+    assert slowest_poles(modal(*terms).state_space) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_pid_has_the_largest_gain_within_the_margins(sign):
+    """A gain 0.001 % larger misses a requirement; a stage that moves the other way gets the negative gains."""
+    plant = modal((0.9, sign * 0.8), (0.5, sign * 0.2))
+    given = PidParameters(setpoint_weight=0.3, derivative_weight=0.4, roll_off=50.0)
+    gains = design_pid(given, plant, T)
+    assert (gains.setpoint_weight, gains.derivative_weight, gains.roll_off) == (1.0, 1.0, 0.0)
+    # the default filter, one fifth of the sampling angular frequency
+    assert gains.derivative_filter == pytest.approx(0.2 * 2.0 * np.pi / T, rel=1e-12)
+    assert gains.Ki * sign > 0.0
+
+    def judged(factor):
+        larger = replace(gains, Kp=factor * gains.Kp, Ki=factor * gains.Ki, Kd=factor * gains.Kd)
+        system = pid_state_space(larger, T).scaled(plant.resolved_input_scale / plant.output_scale)
+        return judge(system, plant_state_space(plant), T)
+
+    assert judged(1.0).meets(AIMED)
+    assert not judged(1.00001).meets(AIMED)
+    # a bandwidth below the largest is met closely, and the gain is the smallest with this bandwidth
+    wanted = 0.5 * judged(1.0).bandwidth
+    gains = design_pid(given, plant, T, bandwidth=wanted)
+    assert judged(1.0).bandwidth >= wanted > judged(0.9999).bandwidth
+    lag = design_pid(replace(given, derivative_filter=70.0), modal((0.9, sign)), T)
+    assert (lag.Kd, lag.derivative_filter) == (0.0, 70.0)
+
+
+def test_an_integral_controller_has_the_sensitivity_peak_of_a_calm_loop():
+    plant = modal((0.9, 1.0))
+    gains = design_integral(PidParameters(Kp=3.0, Kd=2.0, roll_off=5.0), plant, T)
+    assert (gains.Kp, gains.Kd, gains.roll_off) == (0.0, 0.0, 0.0)
+    loop = judge(pid_state_space(gains, T), plant_state_space(plant, scaled=False), T)
+    assert loop.sensitivity_peak == pytest.approx(1.4, rel=1e-3)
+
+
+WANDERING = {
+    # standard deviations of the noise of the input, and of the changes of constant, rate and periodic part
+    "none": (10.0, None, None, None),
+    "constant": (0.1, 1.0, None, None),
+    "ramp": (0.1, 0.1, 0.3, None),
+    "periodic": (0.1, 1.0, None, 1.0),
+}
+
+
+@pytest.mark.parametrize("disturbance", WANDERING)
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_a_filter_for_a_wandering_disturbance_has_fixed_ratios_of_noise(disturbance, size):
+    given = KalmanParameters(gain="given", L=(0.1, 0.2), Q=(1.0,), r=0.04, disturbance_frequency=7.0)
+    found = wandering(given, disturbance, size)
+    assert (found.gain, found.L, found.Q, found.disturbance) == ("riccati", (), (), disturbance)
+    assert (found.r, found.disturbance_frequency) == (0.04, 7.0)
+    noises = ("q", "q_disturbance", "q_disturbance_rate", "q_disturbance_periodic")
+    for name, deviation in zip(noises, WANDERING[disturbance], strict=True):
+        expected = getattr(given, name) if deviation is None else (deviation * size) ** 2
+        assert getattr(found, name) == pytest.approx(expected, rel=1e-9), name

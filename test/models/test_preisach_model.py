@@ -48,6 +48,48 @@ def test_map_of_a_play_model_gives_its_outputs(turns):
     np.testing.assert_allclose(PreisachHysteresis(parameters(), 1e-3).simulate(voltages), expected, atol=1e-18)
 
 
+def relays(voltages, table):
+    """Outputs of the sum of relays that Preisach's model is: each is switched up at its a, down at its b ≤ a.
+
+    The weight of the relay whose a and b lie in the cell is the mixed difference of the Everett map, E(a, b) being the
+    change of the output from all relays that a rise from b to a switches.
+    """
+    n = len(table)
+    up = np.zeros((n, n), dtype=bool)
+    weights = np.zeros((n, n))
+    for i in range(1, n):  # up from node i on, down from node j on
+        for j in range(i):
+            weights[i, j] = (table[i, j] - table[i - 1, j]) - (table[i, j + 1] - table[i - 1, j + 1])
+    outputs, before = [], 0
+    for v in voltages:
+        for node in range(before + 1, v + 1):
+            up[node, :] = True
+        for node in range(before - 1, v - 1, -1):
+            up[:, node] = False
+        before = v
+        outputs.append(weights[up].sum())
+    return np.array(outputs)
+
+
+@pytest.mark.parametrize("memory", [7, 64])  # at most 7 turning points
+def test_loops_within_loops_are_those_of_relays(memory):
+    """With every number of turning points, every next voltage and every one after it: on them and between them."""
+    given = parameters(nodes=13, memory=memory)
+    # Weights that differ from cell to cell: those of plays would hide a turning point that was not removed.
+    cells = np.tril(np.random.default_rng(2).uniform(0.0, 1e-7, (13, 13)), -1)
+    table = np.zeros((13, 13))
+    for i, j in zip(*np.tril_indices(13, -1), strict=True):
+        table[i, j] = cells[: i + 1, j:].sum()
+    block = PreisachHysteresis(dataclasses.replace(given, everett=tuple(table[np.tril_indices(13)])), 1e-3)
+    turns = [11, 1, 9, 3, 7]
+    for depth in range(1, len(turns) + 1):
+        for following in range(13):
+            for last in (0, 2, 5, 8, 10, 12):
+                nodes = [*turns[:depth], following, last]
+                block.reset()
+                np.testing.assert_allclose(block.simulate(10.0 * np.array(nodes)), relays(nodes, table), atol=1e-18)
+
+
 def test_between_the_nodes_it_interpolates():
     plays = saturated(PrandtlIshlinskiiHysteresis(PLAYS, 1e-3))
     start = plays.x[1]
