@@ -139,6 +139,8 @@ def test_an_interrupted_commissioning_repeats_nothing_that_is_done(done):
 def test_each_stage_finds_what_the_stage_has(done):
     situation, _, _, _ = done
     figures = {name: outcome.figures for name, outcome in situation.found.items()}
+    for picture in (picture for outcome in situation.found.values() for picture in outcome.pictures):
+        assert "[" in picture.across and "[" in picture.up and "[" not in picture.caption, "axes have units"
     for i, name in enumerate("xy"):
         assert figures["noise"][name]["noise_rms_m"] == pytest.approx(5e-9, rel=0.05)
         assert figures["resonance"][name]["resonance_hz"] == pytest.approx((700.0, 800.0)[i], rel=2e-3)

@@ -118,6 +118,21 @@ def test_a_sensor_whose_range_ends_within_that_of_the_stack_is_refused(situation
         judge_hysteresis(situation, cycles)
 
 
+@pytest.mark.parametrize(("share", "clips"), [(0.015, False), (0.025, True)])
+@pytest.mark.parametrize("upper", [True, False])
+def test_a_sensor_may_stay_where_the_voltage_does_within_2_percent_of_its_end(situation, share, clips, upper):
+    plan = situation.plan
+    held = plan.maximum - share * plan.span if upper else plan.minimum + share * plan.span
+    voltage = np.clip(volts.decaying_cycles(plan, 0.0, RATE), *((-np.inf, held) if upper else (held, np.inf)))
+    cycles = recorded(np.concatenate([voltage, np.full(voltage.size // 10, held)]))
+    cycles.signals["measured"] = GAIN * cycles["voltage"]
+    if clips:
+        with pytest.raises(CommissioningError, match="the sensor stays at its"):
+            judge_hysteresis(situation, cycles)
+    else:
+        assert judge_hysteresis(situation, cycles).figures["stroke_m"] == pytest.approx(1e-4, rel=0.03)
+
+
 def test_the_response_is_that_of_the_periods_after_the_first_one(situation):
     """In the first period the stage still settles, here from 10 µm beside."""
     period = round(volts.PERIOD * RATE)
@@ -143,7 +158,14 @@ def test_the_damping_is_that_of_the_whole_peak_and_not_of_the_noise_at_its_top()
     mode = GAIN / (1.0 - (f / frequency) ** 2 + 2j * damping * f / frequency)
     voltage, moved = np.fft.irfft(period * one), np.fft.irfft(period * one * mode)
     measured = np.tile(moved, 4) + draw.normal(0.0, 0.2 * np.std(moved), 4 * period)
-    found = volts.response_outcome(np.tile(voltage, 4), measured, rate, period).figures
+    outcome = volts.response_outcome(np.tile(voltage, 4), measured, rate, period)
+    found = outcome.figures
+    # in its picture the noise of the mean over the periods has its own size, at the frequencies of the response
+    response, noise = outcome.pictures[0].lines
+    assert response.x == noise.x and min(noise.x) > 0.0 and max(noise.x) <= volts.EXCITED * rate
+    excited = np.abs(np.fft.rfft(voltage))[1 : int(volts.EXCITED * period) - 1]
+    level = 1e6 * 0.2 * np.std(moved) * np.sqrt(period / 4.0) / np.median(excited)
+    assert np.median(noise.y) == pytest.approx(level, rel=0.3)
     assert found["resonance_hz"] == pytest.approx(frequency, rel=2e-3)
     assert found["damping"] == pytest.approx(damping, rel=0.1)
 
@@ -371,6 +393,10 @@ def test_references_of_closed_loops_begin_at_rest_and_go_to_the_farther_end(situ
     levels = rest + np.array([0.1, 0.2, 0.3, 0.2]) * (far - rest)
     np.testing.assert_allclose(steps[ends], levels, atol=1e-18)
     assert steps[0] == steps[-1] == rest and low <= steps.min() and steps.max() <= high
+    # every way takes its time, that to the first step and that back to rest too
+    assert steps.size == 8 * held + 3 * moved
+    assert np.abs(np.diff(steps)).max() < 1.01 * np.pi / 2.0 * 0.2 * abs(far - rest) / min(held, moved)
+    assert scan.size - (first + count * period) >= 2 * held and np.all(scan[-held:] == rest)
 
 
 def test_a_scan_that_is_larger_than_the_range_is_refused(situation):

@@ -166,9 +166,8 @@ CANCELLED = {
 @pytest.mark.parametrize(("terms", "expected"), CANCELLED.values(), ids=CANCELLED)
 def test_the_slowest_poles_that_matter_are_cancelled(terms, expected, gain):
     """A delay cannot be cancelled, and a pole with a zero near it (less than 2 % of the step response) need not be."""
-    assert slowest_poles(modal(*((pole, gain * share) for pole, share in terms)).state_space) == pytest.approx(
-        expected, abs=1e-9
-    )
+    model = modal(*((pole, gain * share) for pole, share in terms))
+    assert slowest_poles(model.state_space) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -446,6 +446,21 @@ def test_a_device_that_is_left_with_a_voltage_says_so_at_the_end(stand):
     assert device.close() == ""
 
 
+@pytest.mark.parametrize(("safe", "reported"), [(60.0, 60.054), (60.0, 59.946), (60.0, 60.066), (0.0, 9e-4)])
+def test_a_report_rounded_by_a_part_in_a_thousand_is_the_safe_voltage(stand, safe, reported):
+    device = stand.open(safe_voltage=safe)
+    device.read()
+    stand.deaf = True
+    stand.controller.axes["1"].open_value = reported
+    if reported < 1.001 * safe + 1e-3:
+        device.make_safe()
+    else:
+        with pytest.raises(DriverError, match="was commanded to make it safe"):
+            device.make_safe()
+    stand.deaf = False
+    device.close()
+
+
 def test_a_controller_that_does_not_do_what_it_takes_is_not_called_safe(stand):
     device = stand.open()
     device.write([24.0])

@@ -226,6 +226,8 @@ def test_a_controller_that_cannot_compare_these_positions_says_so(stand, monkeyp
     ):
         with pytest.raises(DriverError, match=said):
             device.compare(up, down)
+    # positions far from zero that were rounded to single precision are a grid
+    device.compare(np.float32(1e-3) + np.arange(10, dtype=np.float32) * np.float32(1e-6), [])
     device.close()
     monkeypatch.delitem(COMMANDS, "TRO")
     with pytest.raises(DriverError, match="does not know TRO; give 0 as gcs.trigger_line_up"):

@@ -30,7 +30,7 @@ from hysteresis_ros.laboratory.watch.access import (
     read_request,
 )
 from hysteresis_ros.laboratory.watch.live import History, extremes
-from hysteresis_ros.laboratory.watch.views import SHOWN, View, limits_of, table_of
+from hysteresis_ros.laboratory.watch.views import LOOP, SHOWN, View, limits_of, table_of
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
 
 ANYTHING = st.recursive(
@@ -86,6 +86,17 @@ def test_so_many_parameters_are_set_at_once(count, fits):
         assert read_request(text)[2] == {"node": "motion_controller", "values": values}
     else:
         with pytest.raises(RequestError, match="1 … 50 parameters"):
+            read_request(text)
+
+
+@pytest.mark.parametrize(("node", "name", "value"), [(100, 200, 4096), (101, 1, 1), (1, 201, 1), (1, 1, 4097)])
+def test_names_and_values_of_parameters_have_a_longest_length(node, name, value):
+    values = {"p" * name: "1" * value}
+    text = json.dumps({"id": 1, "do": "set", "node": "n" * node, "values": values})
+    if node == 100:
+        assert read_request(text)[2] == {"node": "n" * 100, "values": values}
+    else:
+        with pytest.raises(RequestError, match=f"1 … {max(node, name, value) - 1} characters"):
             read_request(text)
 
 
@@ -173,6 +184,21 @@ def test_a_page_shows_as_many_bins_as_its_window_has_and_begins_with_the_first()
     history.append(np.ones((len(SHOWN), 4990)))
     header, _ = parts_of(View(1.0, 100, 1000.0, 0).frame(history))
     assert (header["length"], header["first"], header["bins"]) == (10, 400, 100)
+
+
+@pytest.mark.parametrize(("window", "shown"), [(0.6, 600), (1.0, 1000), (60.0, 4000)])
+def test_the_loops_are_those_of_the_window_and_at_most_of_four_seconds(window, shown):
+    """The points of the loops are the newest samples, each of them up to four seconds at 1000 samples per second."""
+    history, view = History(len(SHOWN), 10_000), View(window, 100, 1000.0, 0)
+    table = np.arange(len(SHOWN) * 5000.0).reshape(len(SHOWN), 5000)
+    history.append(table)
+    frame = view.frame(history)
+    header, bins = parts_of(frame)
+    (length,) = struct.unpack("<I", frame[:4])
+    points = np.frombuffer(frame[4 + length :], "<f4")[bins.size :].reshape(len(LOOP), header["points"])
+    rows = [SHOWN.index(name) for name in LOOP]
+    np.testing.assert_array_equal(points, table[rows, -shown:].astype("<f4"))
+    assert (header["loop"], header["kept"], header["loop_fresh"]) == (shown, shown, True)
 
 
 def parts_of(frame: bytes) -> tuple[dict, np.ndarray]:

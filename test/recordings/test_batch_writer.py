@@ -124,6 +124,7 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
         # times different from those of the neighbouring samples
         notes = {text: int(time_ns) for text, time_ns in (("late", times.max() - 1), ("early", times.min() + 1))}
         bag.write_string("/note", "late", notes["late"])
+        bag.add_topic("/silent", "std_msgs/msg/String")
         write_batches(writer, [part[..., :250] if part is not None else None for part in samples], times=times[:250])
         bag.flush()
         bag.write_string("/note", "early", notes["early"])
@@ -135,6 +136,9 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
         assert summary.statistics.message_count == 500 * len(writer.topics) + 2
+        found = {summary.channels[k].topic: count for k, count in summary.statistics.channel_message_counts.items()}
+        counts = {**dict.fromkeys(writer.topics, 500), "/note": 2, "/silent": 0}
+        assert found == counts
         assert summary.statistics.message_start_time == times.min()
         assert summary.statistics.message_end_time == times.max() > times[-1]
         assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 5
@@ -149,7 +153,7 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
     with Reader(tmp_path / "bag") as bag:
         assert bag.message_count == summary.statistics.message_count
         assert (bag.start_time, bag.end_time) == (times.min(), times.max() + 1)  # of metadata.yaml
-        assert {c.topic: c.msgcount for c in bag.connections} == {**dict.fromkeys(writer.topics, 500), "/note": 2}
+        assert {c.topic: c.msgcount for c in bag.connections} == counts
         for connection, time_ns, data in bag.messages():
             if connection.topic == "/note":
                 text = cdr.decode_strings([data], "/note")[0]

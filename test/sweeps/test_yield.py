@@ -31,7 +31,9 @@ from hysteresis_ros.laboratory.sweeps.summary import (
     to_json,
     yield_of,
 )
-from hysteresis_ros.laboratory.sweeps.sweep import Results
+from hysteresis_ros.laboratory.sweeps.sweep import Results, _Table
+
+REFUSED = np.array(["", "", "limits.minimum = 300"])
 
 
 def results(error, tripped=(), refused=()) -> Results:
@@ -92,6 +94,24 @@ def test_a_fraction_in_percent_and_a_number_are_the_same_bound():
     assert parse_bound("rms_error_percent_of_stroke=0.1%:0.2%").low == pytest.approx(0.1)
     with pytest.raises(ConfigurationError, match="is in V, but overshoot_percent is in %"):
         parse_bound("overshoot_percent=5V")
+
+
+@pytest.mark.parametrize("words", ["rms_error_m", "rms_error_m=", "rms_error_m=:", "rms_error_m=2nm:1nm"])
+def test_a_bound_that_every_run_or_none_would_meet_is_refused(words):
+    with pytest.raises(ConfigurationError, match="write NAME=MAXIMUM, NAME=MINIMUM:MAXIMUM or NAME=MINIMUM:"):
+        parse_bound(words)
+
+
+def test_a_longer_sweep_keeps_which_runs_of_the_shorter_one_were_stopped_or_refused():
+    study, plan = asked(runs=4)
+    short = Results({}, {}, {name: np.array([1.0, 2.0, np.nan]) for name in study.metrics}, np.arange(3) == 1, REFUSED)
+    table = _Table(study, plan)
+    table.take(short)
+    found = table.results()
+    assert found.tripped.tolist() == [False, True, False, False] and found.refused.tolist() == [*REFUSED, ""]
+    for values in found.metrics.values():
+        np.testing.assert_array_equal(values, [1.0, 2.0, np.nan, np.nan])
+    assert [piece.tolist() for piece in table.missing] == [[3]]
 
 
 def test_a_single_level_is_the_low_end():
