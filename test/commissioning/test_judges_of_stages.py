@@ -109,6 +109,16 @@ def test_a_reversed_sign_is_refused_whichever_way_the_step_goes(situation, low, 
         judge_gain(situation, recorded(voltages, -GAIN))
 
 
+def test_a_steady_drift_after_the_step_is_creep_and_no_oscillation(situation):
+    """In the second half of the hold the stage drifts by the size of the step, and stays in the middle at the step."""
+    step = recorded(volts.small_step(situation.plan, 0.0, RATE))
+    held = round(volts.STEP_HOLD * RATE)
+    end = 2 * held + round(volts.STEP_WAY * RATE)
+    drift = GAIN * volts.step_size(situation.plan, 0.0) * np.linspace(-0.5, 0.5, held // 2)
+    step.signals["measured"][end - held // 2 : end] += drift
+    assert judge_gain(situation, step).figures["gain_m_per_v"] == pytest.approx(GAIN, rel=0.01)
+
+
 @pytest.mark.parametrize(("low", "high", "words"), [(20e-6, 1.0, "lowest reading of 20"), (-1.0, 8e-5, "highest")])
 def test_a_sensor_whose_range_ends_within_that_of_the_stack_is_refused(situation, low, high, words):
     cycles = recorded(volts.decaying_cycles(situation.plan, 0.0, RATE))

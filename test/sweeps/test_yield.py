@@ -129,6 +129,10 @@ def test_quantiles_are_those_of_the_runs_that_have_a_value():
     text = _metric_line(Summary(replace(summary.results, parameters={"gain": np.zeros(102)}), plan), "rms_error_m")
     assert re.search(r"median 50\S* nm, 95 % below 95\S* nm, worst 100\S* nm in run 100", text), text
     assert text.endswith("; 1 runs have no value")
+    # errors are those of the whole path, other metrics those of the samples
+    assert "between the samples" in text
+    size = Results({}, {"gain": np.zeros(2)}, {"overshoot_percent": np.ones(2)}, np.zeros(2, bool), np.full(2, ""))
+    assert "between the samples" not in _metric_line(Summary(size, plan), "overshoot_percent")
 
 
 def test_the_median_is_not_the_mean():
@@ -162,6 +166,11 @@ def test_figures_of_a_sweep_show_values_and_bounds_in_the_displayed_unit():
     np.testing.assert_allclose(points.get_ydata(), [1.0, 3.0, np.nan, 2.0])
     np.testing.assert_allclose(points.get_xdata(), np.arange(4.0))
     assert bound.get_ydata() == pytest.approx([2.5, 2.5])
+    # one parameter fills the figure, and five are in rows of three
+    for count, cells in ((1, (1, 1)), (5, (2, 3))):
+        figure = scatter_figure(column, {f"p{k}": np.arange(4.0) for k in range(count)}, [])
+        assert figure.axes[0].get_subplotspec().get_gridspec().get_geometry() == cells
+        assert sum(axis.get_visible() for axis in figure.axes) == count
 
 
 def test_figures_at_levels_show_median_and_worst_run_and_the_yield_in_percent():
