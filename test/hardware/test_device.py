@@ -149,8 +149,10 @@ def test_attempts_in_the_background_end_with_the_device(declared):
     device, asked = Device(declared, Parameters(), 100.0), threading.Event()
     device.write([5.0])
     Stage.raised["make_safe"] = OSError("no answer")
+    before = set(threading.enumerate())
     device.insist(1e-3, lambda: asked.set() or True, lambda: pytest.fail("it was never safe"))
     assert asked.wait(60.0)
+    assert [thread.daemon for thread in set(threading.enumerate()) - before] == [True], "it would keep the process"
     assert "the output is still at 5 V" in device.close()
     attempts = Stage.calls.count("make_safe")
     over = device._over
