@@ -729,7 +729,11 @@ def _copied(nodes: dict) -> dict:
 
 
 def put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
-    """Return the text of a stage that keeps its plant and gets decoupling, compensators, controllers and references."""
+    """Return the text of a stage that gets decoupling, compensators, controllers and references.
+
+    A simulated stage keeps its plant. That of devices, which only simulations and designs use, becomes the identified
+    one.
+    """
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
         raise ConfigurationError(
@@ -741,13 +745,16 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
             f"{into.source}: has the axes {', '.join(given.names)}, but the recording has {', '.join(found.names)}; "
             "give the same names with --axes"
         )
-    entries: list[tuple[str, dict]] = [
-        (
-            f"{given.namespace}/{STAGE}",
-            {"decoupling": found.stage.decoupling, "feedforward.weights": (), "scan.kind": ""},
-        )
-    ]
+    stage = {"decoupling": found.stage.decoupling, "feedforward.weights": (), "scan.kind": ""}
+    devices = all(axis.plant_simulator.driver for axis in given.axes)
+    if devices:
+        matrices = {f"structure.{name}": value for name, value in found.stage.structure.to_mapping().items()}
+        stage |= {"type": found.stage.type, **matrices}
+    entries: list[tuple[str, dict]] = [(f"{given.namespace}/{STAGE}", stage)]
     for name, axis in zip(given.names, given.axes, strict=True):
+        if devices:
+            plant = designed.node("plant_simulator", f"/{name}")
+            entries.append((f"{given.namespace}/{name}/plant_simulator", _modelled(plant)))
         for node in ("hysteresis_compensator", "motion_controller", "reference_generator"):
             values = dict(designed.node(node, f"/{name}"))
             values = {key: value for key, value in values.items() if key not in ("joint", "sample_rate")}
@@ -764,6 +771,12 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
     whole = replace(into, entries=(*into.entries, *entries))
     text = StageParameters.from_configuration(whole).configuration_text()
     return _HEADER + with_comments(text, designed.text)
+
+
+def _modelled(plant: dict) -> dict:
+    """Return those parameters of an identified plant that describe its model, not its device."""
+    model = ("hysteresis.", "creep.", "dynamics.", "preload.", "sensor.")
+    return {key: value for key, value in plant.items() if key.startswith(model)}
 
 
 def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:

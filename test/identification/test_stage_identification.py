@@ -610,6 +610,28 @@ def test_a_stage_of_other_axes_or_of_another_rate_does_not_take_what_was_identif
             put_into(into, into, SimpleNamespace(names=names, sample_rate=rate))
 
 
+@pytest.mark.parametrize("driver", ["simulated", ""])
+def test_the_plant_of_devices_becomes_the_identified_one_and_a_simulated_plant_stays(driver):
+    designed = load_configuration("xy_scanner")
+    found = StageParameters.from_configuration(designed)
+    into = designed.override("stage", structure__B=tuple(2.0 * value for value in found.stage.structure.B))
+    for name in found.names:
+        into = into.override(
+            f"{name}/plant_simulator",
+            driver=driver,
+            hysteresis__type="proportional",
+            hysteresis__proportional__gain=1e-7,
+        )
+    text = put_into(into, designed, found)
+    written = StageParameters.from_configuration(parse_configuration(text, "the stage of devices"))
+    assert (written.stage.structure == found.stage.structure) == bool(driver)
+    for given, own in zip(written.axes, found.axes, strict=True):
+        assert given.plant_simulator.driver == driver
+        plant, model = given.plant_simulator.hysteresis, own.plant_simulator.hysteresis
+        assert (plant.type == model.type) == bool(driver)
+        assert plant.prandtl_ishlinskii == model.prandtl_ishlinskii
+
+
 def test_loops_are_designed_for_the_noisiest_sensor_unless_the_noise_is_given(monkeypatch):
     class Designing(Exception):
         """The design begins."""
