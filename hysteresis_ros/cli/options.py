@@ -455,9 +455,9 @@ def scan_options(command):
 
 
 def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
-    """Refuse values of a scan where no scan was chosen; ``remedy`` is for a second file, a usual mistake."""
+    """Refuse values of a scan where no scan was chosen; ``remedy`` is for parameters of nodes, a usual mistake."""
     if values and "=" in values[0]:
-        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
+        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster{remedy}")
     if values:
         raise click.UsageError(f"{values[0]} is neither an option nor NAME=VALUE of a scan{remedy}")
 

@@ -68,6 +68,7 @@ from hysteresis_ros.models.compensator import CompensatorParameters, reachable_c
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
+from hysteresis_ros.units import readable
 
 #: Tried orders of a structure, and largest delay before it [samples].
 ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
@@ -864,7 +865,8 @@ def design_identified(
             designs = design_controllers(parameters, asked, known)
             words = f"--controller {request.controller}" + (f" --damping {damping}" if damping else "")
             source = parse_configuration(text, "the identified stage")
-            return controllers_file(source, designs, words), designs, _measured(designs, analyses)
+            warnings = _measured(designs, analyses) + _too_slow(designs, analyses, noise)
+            return controllers_file(source, designs, words), designs, warnings
         except (HysteresisError, ValueError) as error:
             said.append(f"{request.controller}, damping {damping or 'none'}: {error}")
     if request.damping is not None or request.noise is not None:
@@ -886,6 +888,23 @@ def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
             found.append(
                 f"axis {name}: on the measured response the sensitivity reaches {loop.sensitivity_peak.low:.3g}, but "
                 f"at most {REQUIRED.sensitivity_peak:g} is allowed: design again with a lower --bandwidth"
+            )
+    return found
+
+
+def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> list[str]:
+    """Return a warning for each loop that is slower than the slowest frequency of the recording.
+
+    Units: ``noise`` [m], RMS.
+    """
+    found = []
+    for (name, design), analysis in zip(designs.items(), analyses, strict=True):
+        lowest, bandwidth = float(analysis.response.frequency[0]), design.margins.bandwidth
+        if bandwidth < lowest:
+            reason = "" if noise is None else f"; the noise of {readable(noise, 'm')} may be the reason: give --noise"
+            found.append(
+                f"axis {name}: the loop has a bandwidth of {readable(bandwidth, 'Hz')} only, below the lowest measured "
+                f"frequency of {readable(lowest, 'Hz')}{reason}"
             )
     return found
 
@@ -971,8 +990,6 @@ def _with_section(text: str, reading, loops, response, figures: dict, warnings, 
 
 def _lines(found: IdentifiedStage) -> list[str]:
     """Return the printed report of an identified stage."""
-    from hysteresis_ros.units import readable
-
     figures, names = found.figures, found.parameters.names
     response = found.responses[0].response
     rows: list[tuple[str, str]] = [

@@ -130,7 +130,7 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
-        (("width=20um",), "width=20um belongs to a scan: choose a scan, for instance --scan raster"),
+        (("width=20um",), "belongs to a scan: choose a scan, for instance --scan raster; --params-file FILE"),
         (
             ("--scan", "raster", "width=90um", "depth=10um"),
             ", and the other end too, allowed: ≥ -2e-05 m and ≤ 2e-05 m",
@@ -268,7 +268,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),
-        (("width=20um",), "width=20um belongs to a scan: choose a scan, for instance --scan raster"),
+        (("width=20um",), "belongs to a scan: choose a scan, for instance --scan raster; --params-file FILE"),
         (("other.yaml",), "other.yaml is neither an option nor NAME=VALUE of a scan; --params-file FILE overrides"),
         ((*SCAN, "--reference", "sine", "--amplitude", "1um"), "--scan and --reference exclude each other"),
     ],

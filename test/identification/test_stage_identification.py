@@ -671,6 +671,17 @@ def test_a_loop_that_is_too_sensitive_on_the_measured_response_is_warned_of(monk
     assert len(said) == warned and all(text.startswith("axis y: on the measured response") for text in said)
 
 
+def test_a_loop_slower_than_anything_that_was_measured_is_warned_of():
+    response = SimpleNamespace(response=SimpleNamespace(frequency=np.array([2.0, 4.0, 6.0])))
+    designs = {name: SimpleNamespace(margins=SimpleNamespace(bandwidth=f)) for name, f in (("x", 2.5), ("y", 0.009))}
+    (said,) = stage_identification._too_slow(designs, [response, response], 73e-9)
+    assert said.startswith(
+        "axis y: the loop has a bandwidth of 0.009 Hz only, below the lowest measured frequency of 2 Hz"
+    )
+    assert said.endswith("the noise of 73 nm may be the reason: give --noise")
+    assert "noise" not in stage_identification._too_slow(designs, [response, response], None)[0]
+
+
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
     configuration = load_configuration(truth)
     for asked, words in (
