@@ -64,7 +64,7 @@ class FitState:
     metavar="CONFIG",
     type=ConfigurationName(),
     help="For a response of `hysteresis frf`: the axis whose dynamics are fitted to it; the hysteresis of the axis is "
-    "kept. For a stage: a configuration whose plants are kept; everything else is taken from the result.",
+    "kept. For a stage: a configuration whose simulated plants or devices are kept; the rest is taken from the result.",
 )
 @click.option(
     "--order",
