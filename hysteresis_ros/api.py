@@ -877,7 +877,7 @@ def identify(
     loops : path-like or Recording, optional
         For a stage: a recording in which the actuators move through their ranges one after the other.
     into : str, path-like or Configuration, optional
-        For a stage: a configuration whose plants are kept; everything else is taken from the result.
+        For a stage: a configuration whose simulated plants or devices are kept; the rest is taken from the result.
     linear : str, optional
         Linear dynamics after the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
         they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …

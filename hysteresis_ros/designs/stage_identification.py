@@ -180,7 +180,8 @@ class _Plant:
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
-#: Gain of the held-out data, relative to that of the written file, above which a design considers it.
+#: Gain of the held-out data, relative to that of the written file, above which a design considers it; it is stated if
+#: it is that much smaller, too.
 DEVIATING = 1.1
 
 

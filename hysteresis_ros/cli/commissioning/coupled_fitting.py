@@ -26,6 +26,7 @@ from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.designs.coupled import response_uncertainties, stage_lines
 from hysteresis_ros.designs.stage_frequency_response import decoupled_responses
 from hysteresis_ros.designs.stage_identification import (
+    DEVIATING,
     IdentifiedStage,
     StageRequest,
     design_identified,
@@ -39,8 +40,8 @@ from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
 #: Largest error of the model on the held-out data apart from its gain, as a fraction of the motion; largest factor
-#: between the gains, with which a design keeps its margins, and smallest deviation of the gain that is stated.
-UNFIT, STEEPEST, DEVIATES = 0.2, 2.0, 0.1
+#: between the gains, with which a design keeps its margins.
+UNFIT, STEEPEST = 0.2, 2.0
 #: Largest error of the hysteresis on its loops, as a fraction of the stroke.
 LOOSE = 0.05
 
@@ -65,7 +66,8 @@ def identify_coupled(situation: StageSituation) -> Outcome:
     errors = zip(situation.names, held.errors, held.shapes, held.gains, held.motion, strict=True)
     for name, error, shape, gain, motion in errors:
         percent = found.figures[f"loops_{name}_rmse_percent_of_stroke"]
-        own = f" ({100.0 * shape / motion:.2g} % with {gain:.3g} times the gain)" if abs(gain - 1.0) > DEVIATES else ""
+        deviates = not 1.0 / DEVIATING <= gain <= DEVIATING
+        own = f" ({100.0 * shape / motion:.2g} % with {gain:.3g} times the gain)" if deviates else ""
         lines.append(
             f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion{own}; "
             f"loops {percent:.2g} % of the stroke"
