@@ -776,9 +776,10 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
 
 
 def _modelled(plant: dict) -> dict:
-    """Return those parameters of an identified plant that describe its model, not its device."""
+    """Return those parameters of an identified plant that describe its model, not its device, also what it lacks."""
+    lacking = {"creep.type": "none", "dynamics.delay": 0.0, "preload.A1": 0.0, "sensor.noise": 0.0}
     model = ("hysteresis.", "creep.", "dynamics.", "preload.", "sensor.")
-    return {key: value for key, value in plant.items() if key.startswith(model)}
+    return lacking | {key: value for key, value in plant.items() if key.startswith(model)}
 
 
 def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:
