@@ -317,7 +317,8 @@ WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # samples until the response to a saturated command has decayed
 LOST = 6  # value that the ring of errors gets for the samples until then: LIMITED or NaN
-STORED = 7  # samples on the path of a file until its correction counts as that of any other period; 0: it does
+STORED = 7  # samples on the path of a file until its correction is treated as that of any other period; more than a
+# period: the axis is not on the path, and the correction stays stored; 0: there is no file, or its time is over
 FIRST = 8  # reference of the first sample of this period [m]
 MOVED = 9  # 1: the reference has left that value in this period
 RINGS = 10
@@ -412,7 +413,10 @@ def updated(p, x, before, length):
 
 @kernel
 def file_stays(p, x, reference):
-    """Return whether the correction of a file stays stored: the axis approaches its path, and nothing else repeats."""
+    """Return whether the correction of a file stays stored: the axis approaches its path, and nothing else repeats.
+
+    ``reference`` [m] is that of this sample, without correction.
+    """
     if x[STORED] == 0.0:
         return False
     repeats = False
