@@ -37,6 +37,8 @@ CLOCKED = (
     *("output_that_left", "order_in_real_time", "gcs_axis", "quiet_hold", "watch_page", "excite_command"),
     *("trigger_topics", "epics", "playing_back", "diagnostics", "masters", "campaign", "claim", "parent"),
 )
+#: Tests of one compiled loop of a device, in one worker: otherwise each worker compiles it.
+DEVICES = ("c_stage", "compiled_driver", "calibrated_driver", "fused_python_driver", "driven_stage")
 
 
 def pytest_configure(config):
@@ -64,17 +66,22 @@ def pytest_runtest_setup(item):
 
 
 def group_of(nodeid: str) -> str:
-    """Return the group of a test, whose tests share a worker: its file, or all graphs whose clock needs a core."""
+    """Return the group of a test, whose tests share a worker: its file, clocked graphs, or loops of devices."""
     file = nodeid.split("::", 1)[0]
-    return "clocked" if file.startswith(GRAPHS) and file.endswith(tuple(f"test_{n}.py" for n in CLOCKED)) else file
+    if file.startswith(GRAPHS) and file.endswith(tuple(f"test_{n}.py" for n in CLOCKED)):
+        return "clocked"
+    return "devices" if file in [f"test/hardware/test_{name}.py" for name in DEVICES] else file
 
 
 def turns(groups: list[str]) -> list[str]:
     """Return the groups in the order in which workers take them: graphs, which wait, in turns with computations."""
     waiting = [group for group in groups if group.startswith(GRAPHS)]
     waiting.sort(key=lambda file: -(ROOT / file).stat().st_size)  # the last one to end should not be a long one
-    computing = [group for group in groups if group != "clocked" and group not in waiting]
-    each, ordered = max(len(computing) // max(len(waiting), 1), 1), ["clocked"]
+    computing = [group for group in groups if group not in waiting]
+    # loops of devices are compiled before the clocked graphs reach them
+    first = [group for group in ("clocked", "devices") if group in groups]
+    computing = [group for group in computing if group not in first]
+    each, ordered = max(len(computing) // max(len(waiting), 1), 1), first
     while waiting or computing:
         ordered += [*waiting[:1], *computing[:each]]
         del waiting[:1], computing[:each]

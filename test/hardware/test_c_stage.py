@@ -37,6 +37,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 
 pytestmark = needs_compiler
 
+#: No pulse comes. With its trigger input the axis has the loop with triggers, which all devices of the tests share.
 AXIS = """
 /**:
   ros__parameters: {{sample_rate: 1000.0, time_mode: realtime}}
@@ -53,6 +54,7 @@ AXIS = """
     maximum: 10.0e-6
     initial_setpoint: 4.0e-6
     waveform: {{type: sine, amplitude: 3.0e-6, frequency: 5.0}}
+    triggers: {{input: {{action: hold}}}}
 /**/motion_controller:
   ros__parameters: {{type: open_loop}}
 /**/hysteresis_compensator:

@@ -36,6 +36,7 @@ pytestmark = needs_compiler
 
 #: The library reads 1e-7 times its voltage. After it come an amplifier of 20 V/V with inverted sign and a nonlinearity,
 #: and a sensor in volts with inverted sign and a nonlinearity.
+#: No pulse comes. With its trigger input the axis has the loop with triggers, which all devices of the tests share.
 CALIBRATED = """
 /**:
   ros__parameters: {{sample_rate: 3000.0, time_mode: realtime}}
@@ -57,6 +58,7 @@ CALIBRATED = """
     maximum: 10.0e-6
     initial_setpoint: 4.0e-6
     waveform: {{type: sine, amplitude: 3.0e-6, frequency: 20.0}}
+    triggers: {{input: {{action: hold}}}}
 /**/motion_controller:
   ros__parameters: {{type: open_loop}}
 /**/hysteresis_compensator:

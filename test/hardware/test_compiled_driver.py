@@ -40,6 +40,7 @@ from hysteresis_ros.recordings.dataset import Recording
 
 pytestmark = needs_compiler
 
+#: No pulse comes. With its trigger input the axis has the loop with triggers, which all devices of the tests share.
 STAGE = """
 /**:
   ros__parameters: {{sample_rate: 3000.0, time_mode: realtime}}
@@ -57,6 +58,7 @@ STAGE = """
     maximum: 10.0e-6
     initial_setpoint: 4.0e-6
     waveform: {{type: sine, amplitude: 3.0e-6, frequency: 20.0}}
+    triggers: {{input: {{action: hold}}}}
 /**/motion_controller:
   ros__parameters: {{type: open_loop}}
 /**/hysteresis_compensator:

@@ -102,9 +102,13 @@ EVENTS = {
 }
 
 
+#: No pulse comes. With its trigger input the axis has the loop with triggers, which all devices of the tests share.
+TRIGGERED = {"triggers__input__action": "hold"}
+
+
 def axis_of(source=None, **changes) -> AxisParameters:
     configuration = load_configuration("kim2009").override("", time_mode="realtime")
-    configuration = configuration.override("reference_generator", **(source or {}))
+    configuration = configuration.override("reference_generator", **(TRIGGERED | (source or {})))
     asked = {"driver": "simulated", "late_limit": -1, "realtime__priority": 0} | changes
     return AxisParameters.from_configuration(configuration.override("plant_simulator", **asked))
 

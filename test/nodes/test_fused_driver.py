@@ -25,6 +25,7 @@ from hysteresis_ros.recordings.align import read_recording  # noqa: E402
 
 pytestmark = needs_compiler
 
+#: No pulse comes. With its trigger input the axis has the loop with triggers, which all devices of the tests share.
 AXIS = """
 /**:
   ros__parameters: {{sample_rate: 1000.0, time_mode: realtime}}
@@ -37,7 +38,7 @@ AXIS = """
     limits: {{minimum: 0.0, maximum: 100.0}}
     hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
 /**/reference_generator:
-  ros__parameters: {{minimum: 0.0, maximum: 10.0e-6}}
+  ros__parameters: {{minimum: 0.0, maximum: 10.0e-6, triggers: {{input: {{action: hold}}}}}}
 /**/motion_controller:
   ros__parameters: {{type: open_loop}}
 /**/hysteresis_compensator:
