@@ -134,9 +134,7 @@ def excite(
             seed=seed,
         )
         configuration = splitting(configuration, max_bag_size, max_bag_duration)
-        _excite_stage(
-            configuration.override("", time_mode=rate) if rate else configuration, asked, record, offline, processes
-        )
+        _excite_stage(configuration, asked, record, offline, rate, processes)
         return
     if offline or realisations is not None or one_by_one:
         raise click.UsageError("--offline, --realisations and --one-by-one are for a stage, and this is a single axis")
@@ -183,19 +181,26 @@ def excite(
     require_sound(load_run(record, axis.namespace, further=True), axis.plant_simulator.samples)
 
 
-def _excite_stage(configuration, asked, record, offline: bool, processes) -> None:
+def _excite_stage(configuration, asked, record, offline: bool, rate: str | None, processes: bool | None) -> None:
     """Excite a stage through its nodes or offline, and record it."""
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.designs.stage_excitation import excited_stage
+    from hysteresis_ros.loop.stage_parameters import StageParameters
     from hysteresis_ros.loop.stage_simulation import simulate_stage
     from hysteresis_ros.nodes.domain import Domain
-    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.nodes.launcher import Graph, require_messages
     from hysteresis_ros.recordings.files import load_run, save_run
 
     if offline:
         record = RunFile().convert(record, None, click.get_current_context())
+    if rate:
+        configuration = configuration.override("", time_mode=rate)
+    chosen = offline or rate is not None or processes is not None
+    if not offline:
+        given = StageParameters.from_configuration(configuration)
+        require_messages(given if chosen else given.in_time())
     found = excited_stage(configuration, asked, record.with_suffix("") if offline else record)
-    stage = found.stage
+    stage = found.stage if chosen else found.stage.in_time()
     axis = stage.axes[0]
     how = "offline" if offline else axis.plant_simulator.time_mode
     click.echo(f"{found.words}: {found.duration:.4g} s at {stage.sample_rate:g} Hz, {how} …")

@@ -118,3 +118,17 @@ def test_what_is_too_fast_for_messages_is_excited_fused_and_a_run_that_stopped_i
     assert ", fused …" in result.stdout and "recorded: " in result.stdout
     assert result.returncode == 2 and "the axis tripped after" in result.stderr, result.stderr
     assert "Traceback" not in result.stderr and "more than the actuator's range" in result.stderr
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
+@pytest.mark.skipif(not COMPILED, reason="without Numba no stage runs fused")
+def test_a_stage_that_is_too_fast_for_messages_is_excited_fused_and_refused_in_processes(tmp_path):
+    command = [sys.executable, "-m", "hysteresis_ros.cli.main", "excite", "xy_scanner", "--recipe", "multisine"]
+    command += ["--realisations", "2", "--periods", "1", "--record", str(tmp_path / "bag")]
+    refused = subprocess.run([*command, "--processes"], capture_output=True, text=True, timeout=180)
+    assert refused.returncode == 2 and refused.stderr.count("10000 samples/s are too many for the messages") == 1
+    assert "recorded" not in refused.stdout and list(tmp_path.iterdir()) == []
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert ", fused …" in result.stdout, result.stderr
+    # whether every voltage was in time is the machine's
+    assert any((tmp_path / "bag").glob("*.mcap")), result.stderr
