@@ -486,7 +486,8 @@ def trigger_option(command):
 def triggering(configuration, triggers: tuple[str, ...], namespace: str | None = None):
     """Return a configuration with the triggers that the texts describe.
 
-    In a stage, only the axis in ``namespace`` triggers, if a namespace is given.
+    In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all, or by ``each`` those
+    that follow the scan, whose clock then has this level.
     """
     from hysteresis_ros.references.scans import parsed_values
     from hysteresis_ros.references.triggers import TriggerParameters
@@ -497,5 +498,27 @@ def triggering(configuration, triggers: tuple[str, ...], namespace: str | None =
     rows = {row.name: row for row in TriggerParameters.table()}
     values = {f"triggers.{name}": value for name, value in parsed_values(triggers, rows).items()}
     only = f"{namespace.strip('/')}/" if namespace and configuration.stage is not None else ""
+    each = values.get("triggers.each", "none")
+    if configuration.stage is not None and each != "none":
+        return _by_scan(configuration, values, each, only)
     motor = any(configuration.describes(MOTOR_SOURCE, space) for space in configuration.namespaces())
     return configuration.override(f"{only}{MOTOR_SOURCE if motor else SOURCE}", **values)
+
+
+def _by_scan(configuration, values: dict, each: str, only: str):
+    """Return the configuration of a stage whose scanning axes, or the one in ``only``, trigger by their scan."""
+    from dataclasses import replace
+
+    from hysteresis_ros.configuration import STAGE
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+    from hysteresis_ros.references.scan_clock import LEVELS
+    from hysteresis_ros.signals import SOURCE
+
+    stage = StageParameters.from_configuration(configuration)
+    # without a scan every axis is refused, with the remedy
+    for axis in [only] if only else [f"{name}/" for name in stage.scanning_axes] or [""]:
+        configuration = configuration.override(f"{axis}{SOURCE}", **values)
+    if each not in LEVELS or LEVELS.index(stage.stage.scan.clock) >= LEVELS.index(each):
+        return configuration
+    entry = f"{configuration.stage}/{STAGE}", {"scan.clock": each}
+    return replace(configuration, entries=(*configuration.entries, entry))

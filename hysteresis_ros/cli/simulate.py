@@ -99,8 +99,8 @@ def simulate(
     from hysteresis_ros.recordings.files import load_run, save_run
 
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
-    configuration = triggering(configuration, triggers, namespace)
     configuration = scanning(configuration, scan, values, reference)
+    configuration = triggering(configuration, triggers, namespace)
     if configuration.stage is not None:
         refused = {"--learned": learned, "--drift": drift, "--quiet": quiets}
         for option, value in refused.items():

@@ -128,8 +128,8 @@ def up(
     configuration = laid_under(config, laid_over)
     coupled = configuration.stage is not None
     configuration = reference.put_into(configuration, namespace if coupled else None)
-    configuration = triggering(configuration, triggers, namespace if coupled else None)
     configuration = scanning(configuration, scan, values, reference)
+    configuration = triggering(configuration, triggers, namespace if coupled else None)
     configuration = _overridden(configuration, rate, factor, force, plant)
     configuration = splitting(configuration, max_bag_size, max_bag_duration)
     stage = None

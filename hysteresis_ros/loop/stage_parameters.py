@@ -388,7 +388,12 @@ class StageParameters:
             problems += [replace(found, name=f"{where}: {found.name}") for found in _unfit_axis(axis, self.stage)]
             control = f"{axis.namespace}/motion_controller"
             source = f"{axis.namespace}/reference_generator"
-            problems += [replace(one, name=f"{source}: {one.name}") for one in axis.generator.trigger_problems()]
+            for one in axis.generator.trigger_problems():
+                # the axes of a stage have the clock of its scan
+                clock = one.name == "waveform.scan.clock"
+                own = f"{self.namespace}/{STAGE}: scan.clock" if clock else f"{source}: {one.name}"
+                if not clock or own not in (problem.name for problem in problems):
+                    problems.append(replace(one, name=own))
             unfit = _unfit_feedforward(axis, self.stage)
             problems += [replace(found, name=f"{control}: {found.name}") for found in unfit]
             joint = axis.plant_simulator.joint

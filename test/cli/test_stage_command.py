@@ -22,9 +22,11 @@ import yaml
 
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
+from hysteresis_ros.cli.options import triggering
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.errors import ParameterError, RecordingError
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import with_scan
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 
@@ -443,3 +445,25 @@ def test_controllers_of_all_axes_are_designed_and_written(tmp_path):
     # the first motion is an approach; a jump to the middle of the ranges would be 7 V per sample, the slew rate
     for name in "xy":
         assert np.max(np.abs(np.diff(run[f"{name}/plant_voltage"]))) < 3.0
+
+
+@pytest.mark.parametrize("each", ["frame", "line", "pixel"])
+def test_the_axes_that_scan_trigger_by_the_scan_and_the_clock_is_as_fine(each):
+    values = ("width=0.5um", "depth=0.5um", "lines=4", "pixels=8", "line_rate=1Hz")
+    scanned = with_scan(load_configuration("steering_mirror"), "raster", values)
+    found = StageParameters.from_configuration(triggering(scanned, (f"each={each}",)))
+    assert len(found.names) == 3 and found.scanning_axes == found.names[:2]
+    assert [axis.generator.triggers.each for axis in found.axes] == [each, each, "none"]
+    assert found.stage.scan.clock == {"frame": "line", "line": "line", "pixel": "pixel"}[each]
+    one = StageParameters.from_configuration(triggering(scanned, (f"each={each}",), found.names[1]))
+    assert [axis.generator.triggers.each for axis in one.axes] == ["none", each, "none"]
+    with pytest.raises(ParameterError, match="needs a scan"):
+        StageParameters.from_configuration(triggering(load_configuration("xy_scanner"), (f"each={each}",)))
+
+
+def test_a_clock_of_a_stage_that_is_too_coarse_for_its_triggers_is_refused_once_by_its_own_name():
+    values = ("width=1um", "depth=1um", "lines=4", "pixels=8", "line_rate=1Hz")
+    scanned = with_scan(load_configuration("xy_scanner"), "raster", values)
+    with pytest.raises(ParameterError) as refused:
+        StageParameters.from_configuration(scanned.override("reference_generator", triggers__each="pixel"))
+    assert str(refused.value) == "/stage: scan.clock = 'line': must be pixel or finer for triggers.each: pixel"
