@@ -412,6 +412,7 @@ class DesignRequest:
     robust: Uncertainty | None = None
     #: Kind of damping to design first, or ``none``; by default the damping of the configuration is kept.
     damping: str | None = None
+    damping_peak: float = REQUIRED.sensitivity_peak  #: Largest M_s of its loops; lower values give a weaker damping.
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,6 +428,7 @@ class AxisDesign:
     limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
     gain: float = 1.0  #: Largest factor on the gain of the plant at which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
+    together: str = ""  #: What the loops of the other axes of a stage have changed in this design.
 
     def misses(self) -> tuple[str, ...]:
         """Return the unmet requirements of the loop, on the model or on a drawn plant."""
@@ -685,6 +687,8 @@ def doubts(result: AxisDesign) -> list[str]:
         )
     if result.damped is not None:
         found += result.damped.doubts()
+    if result.together:
+        found.append(result.together)
     own = parameters.before_damping(result.sample_time)
     found += own.law.doubts(own, result.sample_time, result.tuned is not None)
     return found

@@ -19,13 +19,16 @@ errors that the model does not predict.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values
+from hysteresis_ros.control.damping.inner_loop import NONE
 from hysteresis_ros.control.learning import LONGEST, SAME, Learned
 from hysteresis_ros.control.uncertainty import ResponseUncertainty
 from hysteresis_ros.designs.controller import (
@@ -37,8 +40,10 @@ from hysteresis_ros.designs.controller import (
     response_uncertainty,
     scan_text,
 )
+from hysteresis_ros.designs.damping import RESONANCE
 from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.designs.stage_stability import unmet_together
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
@@ -48,6 +53,9 @@ from hysteresis_ros.models.linear_algebra import product
 #: Uncertainty of the response of each axis, by its name; the model of an axis without an entry is taken as exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
+#: Parts of the bandwidth of each axis alone that are tried where the other loops do not permit it, and the largest M_s
+#: of weaker dampings. Around a damping only the first parts are tried: a damping is for a fast law.
+SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
 #: Entry of the table of a stage whose loops are unstable.
 UNSTABLE = "none: the loop is unstable"
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
@@ -121,9 +129,70 @@ def design_controllers(
     known: Uncertainties,
     chosen: str | None = None,
 ) -> dict[str, AxisDesign]:
-    """Design the controllers of all axes, or of one axis, each for the model of its own axis."""
+    """Design the controllers of all axes, or of one axis, each for the model of its own axis.
+
+    They have to meet the requirements with the loops of all axes closed too, with a damping also with other resonances.
+    If they do not, the law is made slower, or a requested damping weaker, or it is omitted; each design states why.
+    """
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
-    return {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
+    designs = {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
+    return _adjusted_together(parameters, request, known, designs)
+
+
+def _adjusted_together(
+    parameters: StageParameters, request: DesignRequest, known: Uncertainties, first: dict[str, AxisDesign]
+) -> dict[str, AxisDesign]:
+    """Return designs that meet the requirements with the loops of all axes closed, or the first ones with a note."""
+    kinds = {design.parameters.damping.type for design in first.values()} - {NONE}
+    resonance = RESONANCE if request.robust is None else request.robust.resonance
+    resonance = resonance if kinds else 0.0  # a law without damping may cancel its resonance
+    unmet = unmet_together(with_designs(parameters, first), resonance)
+    if not unmet:
+        return first
+    kind = ", ".join(sorted(kinds))
+    ways = [(request, resonance, f"the law is slower around the damping {kind}" if kinds else "the law is slower")]
+    if request.damping not in (None, NONE):
+        # weaker dampings, then none, whose law cancels resonances that may not be elsewhere
+        ways += [
+            (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
+            for peak in PEAKS
+        ]
+        ways.append((replace(request, damping=NONE), 0.0, f"no damping: {kind} does not suffice, however weak"))
+    free = request.bandwidth is None and request.criterion is None and request.robust is None
+    for asked, deviation, words in ways:
+        with contextlib.suppress(HysteresisError):  # there is no such damping
+            fastest = first if asked is request else _designed(parameters, asked, known, first)
+            given, kept = with_designs(parameters, fastest), replace(asked, damping=None)
+            for share in SHARES[: 1 if not free else AROUND if deviation else None]:
+                found = fastest
+                if share < 1.0:
+                    band = {name: share * design.margins.bandwidth for name, design in fastest.items()}
+                    found = _designed(given, kept, known, band)
+                if not unmet_together(with_designs(parameters, found), deviation):
+                    slower = f", with {share:g} times the bandwidth of the axis alone" if share < 1.0 else ""
+                    said = f"{words}{slower}; otherwise {unmet}"
+                    return {name: replace(design, together=said) for name, design in found.items()}
+    said = f"requirements not met: {unmet}; request a lower --bandwidth, or --damping KIND"
+    return {name: replace(design, together=said) for name, design in first.items()}
+
+
+def _designed(parameters: StageParameters, request: DesignRequest, known: Uncertainties, bands) -> dict:
+    """Design the axes that ``bands`` names; its values are bandwidths [Hz], or designs where none is requested."""
+    found = {}
+    for name, band in bands.items():
+        asked = replace(request, bandwidth=band) if isinstance(band, float) else request
+        found[name] = design_axis(parameters.axes[parameters.place(name)], asked, known.get(name))
+    return found
+
+
+def with_designs(parameters: StageParameters, designs: Mapping[str, AxisDesign]) -> StageParameters:
+    """Return a stage with designed controllers in some of its axes."""
+    axes = list(parameters.axes)
+    for name, design in designs.items():
+        place = parameters.place(name)
+        own = {item.name: getattr(design.parameters, item.name) for item in fields(ControllerParameters)}
+        axes[place] = replace(axes[place], motion_controller=replace(axes[place].motion_controller, **own))
+    return replace(parameters, axes=tuple(axes))
 
 
 def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign], words: str) -> str:

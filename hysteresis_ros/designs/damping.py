@@ -96,15 +96,16 @@ def design_damping(
     sample_time: float,
     plants: tuple[PossiblePlant, ...],
     force: ForceParameters | None = None,
+    peak: float = REQUIRED.sensitivity_peak,
 ) -> DampingParameters:
-    """Return the damping filter of a kind for a model.
+    """Return the damping filter of a kind for a model; a lower ``peak``, its largest M_s, gives a weaker damping.
 
     Units: ``sample_time`` [s].
     """
     mode = mode_to_damp(dynamics, sample_time, force)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    search = _Search(kind, mode, dynamics, sample_time, plants, force)
+    search = _Search(kind, mode, dynamics, sample_time, plants, force, peak)
     # first search filters that tolerate one more sample of delay; without success, filters for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
@@ -112,7 +113,7 @@ def design_damping(
             return found
     found_at = f"{mode.frequency:.4g} Hz"
     remedy = (
-        f"no {kind} damps the resonance at {found_at} on all plants well enough for a PID with M_s ≤ 2;"
+        f"no {kind} damps the resonance at {found_at} on all plants well enough for a PID with M_s ≤ {peak:g};"
         " choose another kind, a higher sample rate or less delay"
     )
     return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
@@ -121,8 +122,10 @@ def design_damping(
 class _Search:
     """Responses of the plants on a grid of frequencies, and the search for a filter on them."""
 
-    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force):
+    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force, peak):
         self.force = force
+        self.peak = peak  # largest M_s
+        self.aimed = SENSITIVITY / REQUIRED.sensitivity_peak * peak
         self.kind, self.mode, self.dynamics, self.sample_time = KINDS[kind], mode, dynamics, sample_time
         self.plants = plants
         self.z = np.exp(1j * _angles(plants))
@@ -167,15 +170,15 @@ class _Search:
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
         back = 0.0 if loop.source == COMMAND else filtered
         inner = [1.0 - back * (P * loop.seen[0]).sum(axis=1) for P in self.responses]
-        if max(float(np.max(1.0 / np.abs(left))) for left in inner) > REQUIRED.sensitivity_peak:
+        if max(float(np.max(1.0 / np.abs(left))) for left in inner) > self.peak:
             return 0.0
         displaced = [P[:, 0] for P in self.responses]
-        gain = min(_largest(forward * P / left) for P, left in zip(displaced, inner, strict=True))
+        gain = min(_largest(forward * P / left, self.aimed) for P, left in zip(displaced, inner, strict=True))
         whole = max(
             float(np.max(1.0 / np.minimum(np.abs(left + gain * forward * P), np.abs(left))))
             for P, left in zip(displaced, inner, strict=True)
         )
-        return gain * min(1.0, (SENSITIVITY / whole) ** 2)
+        return gain * min(1.0, (self.aimed / whole) ** 2)
 
     def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
         """Return whether inner loop, outer loop and the loop cut at the plant meet the requirements on all plants."""
@@ -188,10 +191,10 @@ class _Search:
             if loop.source != COMMAND and not self._damps(poles):
                 return False
             outside = judge(outer, around, self.sample_time, with_bandwidth=False)
-            if not outside.sensitivity_peak <= REQUIRED.sensitivity_peak:
+            if not outside.sensitivity_peak <= self.peak:
                 return False
             both = judge(whole, one.plant, self.sample_time, with_bandwidth=False)
-            if not (both.sensitivity_peak <= REQUIRED.sensitivity_peak and both.delay_margin >= late):
+            if not (both.sensitivity_peak <= self.peak and both.delay_margin >= late):
                 return False
         return True
 
@@ -225,9 +228,9 @@ class _Search:
         return best, at
 
 
-def _largest(X) -> float:
-    """Return the largest g up to which |1 + g X| ≥ 1/M_s at all points."""
-    square, room = np.abs(X) ** 2, 1.0 - 1.0 / SENSITIVITY**2
+def _largest(X, peak: float) -> float:
+    """Return the largest g up to which |1 + g X| ≥ 1/peak at all points."""
+    square, room = np.abs(X) ** 2, 1.0 - 1.0 / peak**2
     inside = X.real**2 - room * square
     hit = (X.real < 0.0) & (inside > 0.0)
     if not np.any(hit):
@@ -379,7 +382,8 @@ def with_damping(
     _require(request.damping)
     if request.damping == NONE:
         return replace(control, damping=DampingParameters())
-    found = design_damping(request.damping, control.model.dynamics, sample_time, around.plants, control.model.force)
+    own = control.model.dynamics, sample_time, around.plants, control.model.force
+    found = design_damping(request.damping, *own, request.damping_peak)
     return replace(control, damping=found)
 
 

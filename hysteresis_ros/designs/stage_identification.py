@@ -38,7 +38,13 @@ from hysteresis_ros.control.coupling import lost_direction, relative_gain_array,
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import REQUIRED, loop_of, plant_state_space
 from hysteresis_ros.designs.controller import AxisDesign, DesignRequest
-from hysteresis_ros.designs.coupled import Uncertainties, controllers_file, design_controllers, stage_lines
+from hysteresis_ros.designs.coupled import (
+    Uncertainties,
+    controllers_file,
+    design_controllers,
+    stage_lines,
+    with_designs,
+)
 from hysteresis_ros.designs.measured import entries
 from hysteresis_ros.designs.stage_frequency_response import (
     correlated_by_name,
@@ -47,6 +53,7 @@ from hysteresis_ros.designs.stage_frequency_response import (
     load_stage_response,
     response_without_periods,
 )
+from hysteresis_ros.designs.stage_stability import require_stable
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError, ParameterError, Problem
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import StructureData, StructureEstimator
@@ -320,6 +327,13 @@ def identify_stage(
     kind = _kind(data, request, loops)
     responses, judged, noise = _responses(reading, data, request, names)
     warnings = [text for one in responses for text in one.response.warnings]
+    for one in (reading, loops):
+        if one is not None and one.skipped:
+            count = sum(len(u) for u, _ in one.runs)
+            warnings.append(
+                f"{one.source}: this machine was too busy for {one.skipped} of {count} samples: the previous voltage "
+                "was held in them, which counts as noise or distortion"
+            )
     if kind == INTERNAL and data is not None:
         ends = responses[-1].response.frequency[[0, -1]]
         plant, held = _internal(data, request, (0.999 * ends[0], 1.001 * ends[1]))
@@ -867,7 +881,9 @@ def design_identified(
             designs = design_controllers(parameters, asked, known)
             words = f"--controller {request.controller}" + (f" --damping {damping}" if damping else "")
             source = parse_configuration(text, "the identified stage")
+            require_stable(with_designs(parameters, designs), source.source)
             warnings = _measured(designs, analyses) + _too_slow(designs, analyses, noise)
+            warnings += [f"axis {name}: {design.together}" for name, design in designs.items() if design.together]
             return controllers_file(source, designs, words), designs, warnings
         except (HysteresisError, ValueError) as error:
             said.append(f"{request.controller}, damping {damping or 'none'}: {error}")

@@ -7,21 +7,30 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Whether the loops of a stage are stable together, and what makes them stable if they are not."""
+"""Whether the loops of a stage are stable and robust together, and what makes them stable if they are not.
+
+The design of an axis knows nothing of the other loops. Together the loops have to meet the requirements that each one
+meets alone: M_s ≤ 2 and stable with one more sample of delay. M_s of all loops is the structured singular value of
+S = (I + L)⁻¹ for an independent factor in each loop, the inverse of the disk margin of skew 1; without coupling it is
+the largest M_s of the loops. Up to 2, all loops tolerate 6 dB more gain in any combination at once.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from hysteresis_ros.configuration import STAGE
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.coupling import static_decoupling
-from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.coupling import disk_margins, static_decoupling
+from hysteresis_ros.control.margins import REQUIRED, ROUNDING, plant_state_space
+from hysteresis_ros.control.uncertainty import slowed
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
-from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_response import GRID, stage_loop, stage_plant
-from hysteresis_ros.models.linear import BOUNDARY
+from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
+from hysteresis_ros.loop.stage_response import GRID, in_series, stage_loop, stage_plant
+from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.scan import rounded_down
 
@@ -29,6 +38,8 @@ from hysteresis_ros.references.scan import rounded_down
 WRONG_GAIN = 0.5
 #: Factor of a step of the search for the largest stable gain, its number of steps, and the part of that gain to use.
 STEP, STEPS, USED = 0.95, 150, 0.5
+#: Largest condition of the eigenvectors of a structure whose times can be changed.
+DEFECTIVE = 1e8
 
 
 def gain_at_rest(parameters: StageParameters) -> np.ndarray:
@@ -82,3 +93,37 @@ def _stable(loop, factor: float) -> bool:
     opened = np.eye(loop.B.shape[1]) + factor * loop.D
     poles = np.linalg.eigvals(loop.A - factor * loop.B @ np.linalg.solve(opened, loop.C))
     return bool(np.max(np.abs(poles), initial=0.0) < 1.0 - BOUNDARY)
+
+
+def slower_structure(parameters: StageParameters, slowness: float) -> StageParameters:
+    """Return a stage whose structure has all times longer by a factor, with the same gain at rest."""
+    given = parameters.stage.structure
+    n, m = given.order, given.inputs
+    # the file may have only the blocks of the state matrix
+    A, B, outputs = tuple(given.state_matrix.ravel().tolist()), np.reshape(given.B, (n, m)), (0.0,) * n
+    changed = [slowed(LinearParameters(A=A, B=tuple(column), C=outputs), slowness) for column in B.T]
+    B = np.column_stack([one["B"] for one in changed])
+    slower = replace(given, A=tuple(changed[0]["A"]), B=tuple(B.ravel().tolist()))
+    return replace(parameters, stage=replace(parameters.stage, structure=slower))
+
+
+def unmet_together(parameters: StageParameters, resonance: float = 0.0) -> str:
+    """Return the requirement that all loops together miss, with resonances off by this part too, or ""."""
+    stage, count = parameters.stage, len(parameters.names)
+    # hysteresis inside a structure has no resonances of its own to move
+    varied = resonance > 0.0 and stage.type == HAMMERSTEIN and stage.structure.order > 0
+    if varied:
+        _, vectors = np.linalg.eig(stage.structure.state_matrix)
+        varied = bool(np.linalg.cond(vectors) < DEFECTIVE)
+    sample = StateSpace(np.zeros((count, count)), np.eye(count), np.eye(count), np.zeros((count, count)))
+    for slowness in (1.0, 1.0 - resonance, 1.0 + resonance) if varied else (1.0,):
+        where = "" if slowness == 1.0 else f" with resonances off by {100.0 * resonance:g} %"
+        loop = stage_loop(parameters if slowness == 1.0 else slower_structure(parameters, slowness))
+        if not _stable(loop, 1.0):
+            return f"all loops together are unstable{where}"
+        if not _stable(in_series(loop, sample), 1.0):
+            return f"all loops together are unstable with one more sample of delay{where}"
+        peak = 1.0 / disk_margins(loop, 1.0 / parameters.sample_rate, skew=1.0).together.alpha
+        if peak > REQUIRED.sensitivity_peak * (1.0 + ROUNDING):
+            return f"M_s {peak:.3g} of all loops together above {REQUIRED.sensitivity_peak:g}{where}"
+    return ""

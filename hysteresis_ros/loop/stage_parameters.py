@@ -391,9 +391,9 @@ class StageParameters:
             for one in axis.generator.trigger_problems():
                 # the axes of a stage have the clock of its scan
                 clock = one.name == "waveform.scan.clock"
-                own = f"{self.namespace}/{STAGE}: scan.clock" if clock else f"{source}: {one.name}"
-                if not clock or own not in (problem.name for problem in problems):
-                    problems.append(replace(one, name=own))
+                label = f"{self.namespace}/{STAGE}: scan.clock" if clock else f"{source}: {one.name}"
+                if not clock or label not in (problem.name for problem in problems):
+                    problems.append(replace(one, name=label))
             unfit = _unfit_feedforward(axis, self.stage)
             problems += [replace(found, name=f"{control}: {found.name}") for found in unfit]
             joint = axis.plant_simulator.joint
