@@ -178,7 +178,7 @@ def excite(
         stack.enter_context(Progress(err=True).during(*_stages(axis, length)))
         stack.enter_context(Graph([axis], **options)).wait()
     click.echo(f"recorded: {record}")
-    require_sound(load_run(record, axis.namespace, further=True), axis.plant_simulator.samples)
+    _say_late(require_sound(load_run(record, axis.namespace, further=True), axis.plant_simulator.samples))
 
 
 def _excite_stage(configuration, asked, record, offline: bool, rate: str | None, processes: bool | None) -> None:
@@ -215,8 +215,17 @@ def _excite_stage(configuration, asked, record, offline: bool, rate: str | None,
             stack.enter_context(Progress(err=True).during(*_stages(axis, found.duration)))
             stack.enter_context(Graph(list(stage.axes), stage=stage, **options)).wait()
         for name in stage.names:
-            require_sound(load_run(record, name, further=True), axis.plant_simulator.samples)
+            run = require_sound(load_run(record, name, further=True), axis.plant_simulator.samples)
+        _say_late(run)  # the axes of a stage are late together
     click.echo(f"recorded: {record}")
+
+
+def _say_late(run) -> None:
+    """Print a line if voltages were late in a run."""
+    from hysteresis_ros.cli.commissioning.bench import held_back
+
+    for line in held_back(run, "counts as noise or distortion"):
+        click.echo(f"hysteresis: warning: {line}", err=True)
 
 
 def _stages(axis, length: float):

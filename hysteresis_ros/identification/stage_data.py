@@ -39,6 +39,10 @@ SAME_RATE = 1e-6
 CANDIDATES, SHORTEST = 50, 16
 #: A span in which the inputs move by less than this fraction of their largest RMS contains no realisation.
 STILL = 0.02
+#: Signals of an axis of a stage: what it was asked to follow, and whether the sample was skipped.
+ASKED, SKIPPED = "reference", "skipped"
+#: Largest part of the samples of a realisation that skipped samples may have changed.
+MOST_CHANGED = 0.1
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,9 @@ class StageReading:
     sample_time: float  #: [s]
     source: str  #: Names of the files.
     axes: tuple[str, ...] = ()  #: Names of the axes of a recorded stage.
+    #: References [m] of each run, shape (N, m), if samples were skipped: they repeat where the inputs do not.
+    asked: tuple[np.ndarray, ...] = ()
+    skipped: int = 0  #: Number of samples in which the machine was too busy, and the previous inputs were held.
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return inputs and outputs of the only run; DataError if there are several."""
@@ -134,7 +141,10 @@ def read_stage(sources, columns: StageColumns | None = None) -> StageReading:
             )
     names = ", ".join(dict.fromkeys(one.source for one in found))
     runs = tuple(run for one in found for run in one.runs)
-    return StageReading(first.inputs, first.outputs, runs, first.sample_time, names, first.axes)
+    skipped = sum(one.skipped for one in found)
+    # files without skipped samples have no references
+    asked = tuple(u for one in found for u in one.asked or (u for u, _ in one.runs)) if skipped else ()
+    return StageReading(first.inputs, first.outputs, runs, first.sample_time, names, first.axes, asked, skipped)
 
 
 def _read(source, columns: StageColumns) -> StageReading:
@@ -176,10 +186,22 @@ def _read(source, columns: StageColumns) -> StageReading:
     wrong = [finding.message for finding in findings if finding.severity == "error"]
     if wrong:
         raise DataError("uniform", f"{name}: {wrong[0]}")
-    return _trimmed(name, inputs, outputs, u, y, sample_time, axes)
+    asked, skipped = _asked(recording)
+    return _trimmed(name, inputs, outputs, u, y, sample_time, axes, asked, skipped)
 
 
-def _trimmed(name: str, inputs, outputs, u, y, sample_time: float, axes=()) -> StageReading:
+def _asked(recording: Recording) -> tuple[np.ndarray | None, int]:
+    """Return the references of the axes of a stage, if it skipped samples, and the number of these samples."""
+    wanted = [f"{axis}/{signal}" for axis in recording.axes for signal in (ASKED, SKIPPED)]
+    if not wanted or not all(name in recording.signals for name in wanted):
+        return None, 0
+    skipped = np.column_stack([recording[name] for name in wanted[1::2]]) > 0.0
+    asked = np.column_stack([recording[name] for name in wanted[::2]])
+    count = int(np.count_nonzero(skipped.any(axis=1)))
+    return (asked, count) if count and np.isfinite(asked).all() else (None, count)
+
+
+def _trimmed(name: str, inputs, outputs, u, y, sample_time: float, axes, asked, skipped: int) -> StageReading:
     """Return a reading without missing samples at its ends."""
     finite = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
     if not finite.any():
@@ -188,7 +210,9 @@ def _trimmed(name: str, inputs, outputs, u, y, sample_time: float, axes=()) -> S
     if not finite[first:last].all():
         place = first + int(np.argmin(finite[first:last]))
         raise DataError("nan", f"{name}: sample {place} lacks an input or an output; leave it out or record again")
-    return StageReading(inputs, outputs, ((u[first:last], y[first:last]),), sample_time, name, axes)
+    runs = ((u[first:last], y[first:last]),)
+    references = () if asked is None else (asked[first:last],)
+    return StageReading(inputs, outputs, runs, sample_time, name, axes, references, skipped)
 
 
 def _require(name, inputs, outputs) -> None:
@@ -266,7 +290,7 @@ def find_period(u: np.ndarray) -> int | None:
 def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
     """Return the spans (first sample, last sample + 1) in which the inputs move and repeat for at least two periods."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
-    apart = np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
+    apart = _apart(u, period)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], apart, [True]]).astype(np.int8)))
     found = []
     for first, behind in zip(edges[::2], edges[1::2], strict=True):
@@ -278,6 +302,12 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
     return found
 
 
+def _apart(u: np.ndarray, period: int) -> np.ndarray:
+    """Return whether inputs differ from those a period later, of each sample that has one."""
+    size = float(np.sqrt(np.mean(np.var(u, axis=0))))
+    return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
+
+
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
     """Return the realisations of recordings as whole periods; None if the inputs do not repeat.
 
@@ -286,8 +316,9 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
     columns = columns or StageColumns()
     step = reading.sample_time
     stated = columns.period
+    asked = reading.asked or tuple(u for u, _ in reading.runs)
     if stated is None:
-        found = next((one for one in (find_period(u) for u, _ in reading.runs) if one is not None), None)
+        found = next((one for one in map(find_period, asked) if one is not None), None)
         if found is None:
             return None
         period = found
@@ -296,7 +327,14 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
         if period < SHORTEST or abs(period * step / stated - 1.0) > 1e-6:
             allowed = f"must be a whole number of at least {SHORTEST} samples of {step:g} s"
             raise DataError("shape", f"--period {stated:g} s: {allowed}")
-    spans = [(u[first:last], y[first:last]) for u, y in reading.runs for first, last in _split(u, period)]
+    spans = [
+        (u[first:last], y[first:last])
+        for repeated, (u, y) in zip(asked, reading.runs, strict=True)
+        for first, last in _split(repeated, period)
+        if repeated is u or np.mean(_apart(u[first:last], period)) <= MOST_CHANGED
+    ]
+    if not spans and stated is None:
+        return None
     if not spans:
         raise DataError("shape", f"the inputs do not repeat with a period of {period * step:g} s; leave --period out")
     counts = [len(u) // period for u, _ in spans]

@@ -61,6 +61,7 @@ from hysteresis_ros.identification.stage_data import (  # noqa: E402
 )
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage  # noqa: E402
+from hysteresis_ros.recordings.dataset import Recording  # noqa: E402
 from hysteresis_ros.recordings.files import save_run  # noqa: E402
 from hysteresis_ros.units import readable  # noqa: E402
 
@@ -131,6 +132,42 @@ def test_periods_and_realisations_are_found_in_one_recording():
     np.testing.assert_array_equal(found.u[0], u[137 : 137 + 1500])
     with pytest.raises(DataError, match=r"do not repeat with a period of 0.0301 s"):
         realisations(recorded(u), StageColumns(period=0.0301))
+
+
+def test_skipped_samples_in_which_the_inputs_were_held_do_not_hide_the_realisations():
+    """The references repeat; the voltages of a busy machine do not, and the recording contains both."""
+    asked = excitation()
+    rng = np.random.default_rng(5)
+    late = np.zeros(len(asked), dtype=bool)
+    for place in rng.choice(np.arange(200, len(asked) - 200), 30, replace=False):
+        late[place : place + rng.integers(1, 4)] = True
+    held = np.maximum.accumulate(np.where(late, 0, np.arange(len(asked))))
+    whole = recorded(asked)
+    (u, y), time = recorded(asked[held]).runs[0], STEP * np.arange(len(asked))
+
+    def run(skipped, noise=0.0) -> Recording:
+        volts = u + noise * rng.standard_normal(u.shape)
+        signals = [
+            {"voltage": volts[:, i], "measured": y[:, i], "reference": 1e-7 * asked[:, i], "skipped": skipped * late}
+            for i in range(2)
+        ]
+        units = {"voltage": "V", "measured": "m", "reference": "m", "skipped": "1"}
+        return Recording.of_axes(
+            {name: Recording(time, one, units, {}) for name, one in zip("xy", signals, strict=True)}, {}
+        )
+
+    reading = read_stage(run(1.0))
+    assert reading.skipped == np.count_nonzero(late)
+    data, expected = realisations(reading), realisations(whole)
+    assert data.period == 500 and data.u.shape == expected.u.shape == (4, 1000, 2)
+    np.testing.assert_array_equal(data.u[2], u[137 + 3000 + 500 : 137 + 4500])
+    found = identify_stage(reading, data, StageRequest(order=6, controller="none"))
+    np.testing.assert_allclose(found.figures["gain_m_per_v"], 0.4e-6 * CROSSTALK, atol=0.4e-8)
+    assert any(f"too busy for {reading.skipped} of {len(u)} samples" in text for text in found.warnings)
+    # without the note of the skipped samples only the voltages count, as in any file
+    assert read_stage(run(0.0)).asked == ()
+    # of a closed loop the references repeat and the voltages do not
+    assert realisations(read_stage(run(1.0, noise=2.0))) is None
 
 
 def test_realisations_of_a_known_plan_are_those_that_are_found():
