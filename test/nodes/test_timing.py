@@ -10,12 +10,13 @@
 """Pace and pairing of samples: pure arithmetic, no ROS."""
 
 import random
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from hysteresis_ros.nodes import timing  # noqa: E402
+from hysteresis_ros.nodes import plant_simulator, timing  # noqa: E402
 from hysteresis_ros.nodes.timing import Pace, Pairing  # noqa: E402
 
 
@@ -120,3 +121,28 @@ def test_a_silence_takes_the_rate_away(monkeypatch):
         now[0] += 2_000_000_000
         rate = pace.read()[0]
     assert rate == 0.0
+
+
+def test_the_rate_of_a_run_counts_to_its_last_sample_and_not_to_the_end_of_its_device(monkeypatch):
+    """Making devices safe and closing them took as long as a short run, whose rate was halved by it."""
+    clock, said = [5.0], []
+    monkeypatch.setattr(plant_simulator, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    node = SimpleNamespace(
+        sample=0,
+        late=0,
+        stamps=SimpleNamespace(begin=lambda origin: None),
+        parameters=SimpleNamespace(sample_rate=1000.0, time_mode="fused"),
+        row=[],
+        _message=SimpleNamespace(header=SimpleNamespace(stamp=None)),
+        _state_places=(),
+        _limited_counts=lambda: {},
+        publish_state=lambda stamp, *values: None,
+        get_logger=lambda: SimpleNamespace(info=said.append, warning=said.append),
+    )
+    monkeypatch.setattr(plant_simulator, "limited_in_all", lambda *given: "")
+    plant_simulator.PlantSimulatorNode.begin_run(node, 0)
+    clock[0], node.sample = 7.0, 2000
+    plant_simulator.PlantSimulatorNode._publish_row(node)
+    clock[0] = 9.0  # the device is closed
+    plant_simulator.PlantSimulatorNode._tell(node)
+    assert said[0].startswith("2000 samples in 2.000 s: 1000.0 Hz, real-time factor 1,")
