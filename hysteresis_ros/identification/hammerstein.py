@@ -369,16 +369,19 @@ PARTS, STRETCHES_OF_A_PART = 5, 4
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
-    """Return the errors [m] on held-out samples, shape (number of samples,)."""
+    """Return the errors [m] on held-out samples, shape (number of samples,).
+
+    A first rise from rest is never held out: nothing that comes after it shows what it does.
+    """
     data, fit = fit.data, copy(fit)  # what the parts share is kept in the copy, and released with it
-    places = np.arange(len(data.kept))
-    errors = np.zeros(len(places))
+    places = np.arange((data.erased or data.first) - data.first, len(data.kept))
+    errors = np.zeros(len(data.kept))
     for part in _parts(places, stretches):
-        left_out = np.zeros(len(places), dtype=bool)
+        left_out = np.zeros(len(errors), dtype=bool)
         left_out[part] = True
         other = fit.refitted(replace(data, kept=data.kept & ~left_out))
         errors[part] = (data.displacement - other.output())[data.first :][part]
-    return errors[data.kept]
+    return errors[places][data.kept[places]]
 
 
 def judged_again(fit, before):

@@ -511,7 +511,8 @@ class Condensed:
     first: int  #: First sample whose residual counts.
     factor: int  #: Number of averaged samples of the recording.
     kept: np.ndarray  #: shape (N - first,); Which of the counted samples are not outliers.
-    remembers: bool = False  #: Whether the voltage history before the recording affects the counted samples.
+    #: First counted sample that the voltage history before the recording does not affect; None if it affects all.
+    erased: int | None = 0
     drifts: bool = False  #: Whether the displacement may contain a linear drift in addition to a constant.
     #: Voltages [V] before the first sample, from rest at 0 V, which determine the memory of the hysteresis.
     history: tuple[float, ...] = ()
@@ -535,6 +536,11 @@ class Condensed:
     def skipped(self) -> int:
         """Number of first samples of the recording that do not count."""
         return self.first * self.factor
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the voltage history before the recording affects counted samples."""
+        return self.erased is None or self.erased > self.first
 
     @property
     def reach(self) -> float:
@@ -625,10 +631,10 @@ def condense(
     v, used, y = (
         values[: blocks * factor].reshape(blocks, factor).sum(axis=1) for values in (v / factor, used, used * y)
     )
-    remembers = wiped is None or first < wiped
+    erased = None if wiped is None else math.ceil(max(first, wiped) / factor)
     first = math.ceil(first / factor)
     y = y / np.maximum(used, 1.0)
-    return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, remembers, history=history)
+    return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, erased, history=history)
 
 
 def coarser(data: Condensed, enough: int) -> Condensed:
@@ -646,6 +652,7 @@ def coarser(data: Condensed, enough: int) -> Condensed:
         displacement=block_means(data.displacement, factor),
         sample_time=factor * data.sample_time,
         first=first,
+        erased=None if data.erased is None else math.ceil(data.erased / factor),
         factor=factor * data.factor,
         kept=np.asarray(kept.all(axis=1))[first:],
     )
@@ -695,9 +702,11 @@ def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]
 
 def simple_loops(data: Condensed) -> bool:
     """Return whether all loops that count have one size, so that the recording shows no minor loops."""
-    voltage = data.voltage[data.first :]
+    if data.erased is None:
+        return False
+    voltage = data.voltage[data.erased :]
     swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the first and last loop may be incomplete
-    return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
+    return bool(np.all(swings > ONE_SIZE * data.voltage_range))
 
 
 #: Least number of samples of one branch that is fitted.

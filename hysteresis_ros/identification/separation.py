@@ -108,7 +108,7 @@ def find_start(
     wiped = wiped_out(data.input)
     if wiped is None:
         return _remembered(data, trials)
-    rested = trials.at_rest(wiped) if whole else wiped > MOST_OMITTED * len(data) and trials.begins_at_rest(wiped)
+    rested = trials.at_rest(wiped) if whole else trials.begins_at_rest(wiped)
     if rested:
         return Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
     seconds = wiped * data.sample_time
@@ -165,21 +165,38 @@ class _PastTrials:
         )
 
     def begins_at_rest(self, first: int) -> bool:
-        """Whether rest at 0 V explains all samples about as well as a fit to those after ``first`` explains them.
+        """Whether rest at 0 V explains the samples before ``first``, which would be omitted otherwise.
 
-        A fit from a wrong history adapts to the longer part of the recording, so both parts count.
+        For a recording that begins at 0 V: rest explains them better than any remanence does. If a large part would be
+        omitted: it explains all samples about as well as a fit to those after ``first`` explains them. A fit from a
+        wrong history adapts to the longer part of the recording, so both parts count.
         """
-        error, alone = self.error(), self.error(Start("zero", first))
-        return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(alone)
+        if first == 0:
+            return False
+        alone = Start("zero", first)
+        if first > MOST_OMITTED * len(self.data):
+            error = self.error()
+            return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(self.error(alone))
+        voltage = self.data.input
+        if abs(voltage[0]) > CLOSED_PART * np.ptp(voltage):
+            return False
+        lag, largest, bipolar = _lag(self.condensed(alone)), *self._largest()
+        rest = _trimmed(self.error(part=lag)[:first])
+        pasts = (part * largest for part in PASTS if (bipolar or part > 0.0) and abs(part) <= 1.0)
+        return all(rest < _trimmed(self.error(_after(past, float(voltage[0])), lag)[:first]) for past in pasts)
+
+    def _largest(self) -> tuple[float, bool]:
+        """Return the largest voltage [V], and whether the recording is bipolar."""
+        voltage = self.data.input
+        largest = float(np.max(np.abs(voltage)))
+        return largest, float(np.min(voltage)) < -BIPOLAR * largest
 
     def remanent(self, rest: float = np.inf) -> tuple[float, float]:
         """Return the voltage [V] whose remanence fits best, and its error [m].
 
         The search ends early if no remanence fits better than ``rest``, the error of a start at rest [m].
         """
-        voltage = self.data.input
-        largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
-        bipolar = float(np.min(voltage)) < -BIPOLAR * largest
+        (largest, bipolar), first = self._largest(), float(self.data.input[0])
         found = largest, 0.0
         for _ in range(2):  # the lag is fitted for the best history, then the history again
             lag = _lag(self.condensed(_after(found[0], first)))

@@ -49,6 +49,7 @@ class Data:
     kept: np.ndarray
     displacement: np.ndarray
     first: int = 0
+    erased: int | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,20 @@ def test_outliers_stay_left_out_and_every_other_sample_is_held_out_once():
     assert len(held_out(Noted(SIMPLE.errors, data=Data(kept, np.zeros(COUNT))))) == np.count_nonzero(kept)
     assert len(seen) == PARTS and not any(np.any(one & ~kept) for one in seen)
     np.testing.assert_array_equal(np.sum(~np.array(seen), axis=0)[kept], 1)
+
+
+def test_a_first_rise_from_rest_is_in_every_fit_and_in_no_error():
+    seen, rise = [], COUNT // 5
+
+    class Noted(Fit):
+        def refitted(self, data):
+            seen.append(data.kept)
+            return super().refitted(data)
+
+    everything = Data(np.ones(COUNT, dtype=bool), np.zeros(COUNT), erased=rise)
+    assert len(held_out(Noted(SIMPLE.errors, data=everything))) == COUNT - rise
+    assert np.all(np.array(seen)[:, :rise])
+    np.testing.assert_array_equal(np.sum(~np.array(seen), axis=0)[rise:], 1)
 
 
 def test_a_lag_alone_is_uncertain_by_what_it_differs_from_that_beside_a_delay():
