@@ -203,6 +203,8 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
         f"Controller designed by `hysteresis design {source} {words}`\n"
         f"on the model in motion_controller: bandwidth {reached}."
     )
+    reasons = dict.fromkeys(design.together for design in designs.values() if design.together)
+    header += "".join(f"\nAll loops together: {reason}." for reason in reasons)
     return with_sections(
         configuration,
         designs,

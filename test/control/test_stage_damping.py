@@ -124,7 +124,7 @@ def designs():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_integral_resonant_control_of_each_axis_bears_modes_shared_by_both_directions(designs, seed):
+def test_integral_resonant_control_of_each_axis_is_stable_with_modes_shared_by_both_directions(designs, seed):
     """Cross-talk of 10 to 30 % of actuators and sensors, with either sign."""
     rng = np.random.default_rng(seed)
     cross = rng.uniform(0.1, 0.3, 4) * rng.choice([-1.0, 1.0], 4)
@@ -191,8 +191,8 @@ def test_a_damping_that_the_other_axis_does_not_permit_is_made_weaker():
         assert said in "\n".join(design_lines(design))
 
 
-def test_a_law_without_damping_bears_a_sample_of_delay_in_all_loops():
-    """Each law alone bears it; with 20 % of cross-talk both together are unstable."""
+def test_a_law_without_damping_is_stable_with_a_sample_of_delay_in_all_loops():
+    """Each law alone is stable with it; with 20 % of cross-talk both together are unstable."""
     parameters = coupled((400.0, 800.0), (0.2, -0.2, 0.2, -0.2))
     found = design_controllers(parameters, DesignRequest("pid", damping="none"), {})
     slower = with_designs(parameters, found)

@@ -218,6 +218,16 @@ def test_loops_that_are_unstable_together_are_refused_with_a_bandwidth_that_is_s
     assert disk_margins(stage_loop(slower), 1.0 / 6400.0).together.gain_margin == pytest.approx(6.0, abs=1.0)
 
 
+def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
+    configuration = load_configuration("steering_mirror")
+    parameters = StageParameters.from_configuration(configuration)
+    found = design_controllers(parameters, DesignRequest("pid", bandwidth=0.5), {})
+    changed = {name: replace(one, together="no damping: ppf does not suffice") for name, one in found.items()}
+    line = "# All loops together: no damping: ppf does not suffice.\n"
+    assert controllers_file(configuration, changed, "--controller pid").count(line) == 1
+    assert "All loops together" not in controllers_file(configuration, found, "--controller pid")
+
+
 def test_loops_with_another_gain_at_rest_are_refused_with_the_decoupling_that_they_need():
     require_stable(stage(), "stage.yaml")
     for wrong in ((0.9, 0.3, -0.2, -0.6), (5.0, 0.0, 0.0, 5.0), (0.0, 1.0, 1.0, 0.0)):
