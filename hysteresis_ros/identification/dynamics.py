@@ -258,16 +258,26 @@ def _lag_column(lag, frequencies, sample_time, delay):
     return shift * (late + early * back) / (1.0 - np.exp(-sample_time / lag) * back)
 
 
-def _least_squares(table, target) -> np.ndarray:
-    """Return the real coefficients of complex columns, shape (k,), or (k, m) for several targets."""
-    turned = table.conj().T
-    gram = (turned @ table).real
+def _rows(table) -> np.ndarray:
+    """Return complex columns, shape (n, k), as rows of their real and imaginary parts, shape (k, 2 n)."""
+    return np.ascontiguousarray(table.T).view(float)
+
+
+def _solved(rows, right) -> np.ndarray:
+    """Return the coefficients of rows, shape (k,) or (k, m), from their products with what they stand for."""
+    gram = rows @ rows.T
     size = np.sqrt(gram.diagonal())
     size[size == 0.0] = 1.0
     gram /= size[:, None] * size
     gram.flat[:: len(size) + 1] += 1e-12
-    size = size if target.ndim == 1 else size[:, None]
-    return scipy.linalg.lapack.dposv(gram, (turned @ target).real / size)[1] / size
+    size = size if right.ndim == 1 else size[:, None]
+    return scipy.linalg.lapack.dposv(gram, right / size)[1] / size
+
+
+def _least_squares(table, target) -> np.ndarray:
+    """Return the real coefficients of complex columns, shape (k,), or (k, m) for several targets."""
+    rows = _rows(table)
+    return _solved(rows, rows @ (target.view(float) if target.ndim == 1 else _rows(target).T))
 
 
 class ModalSearch:
@@ -370,9 +380,9 @@ class ModalSearch:
 
     def solve(self, columns):
         """Return the coefficients of the columns and the weighted residual, real and imaginary parts."""
-        table = self.weight[:, None] * columns
-        coefficients = _least_squares(table, self.target)
-        return coefficients, (table @ coefficients - self.target).view(float)
+        rows, target = _rows(self.weight[:, None] * columns), self.target.view(float)
+        coefficients = _solved(rows, rows @ target)
+        return coefficients, coefficients @ rows - target
 
     def costs_with(self, columns, pairs) -> np.ndarray:
         """Return the squared residual with each of K pairs of columns, shape (K, n, 2), in addition, shape (K,)."""
@@ -424,17 +434,25 @@ class ModalSearch:
         return self.trial(structure, best[1])
 
     def slopes(self, structure: ModalStructure, values, here) -> np.ndarray:
-        """Return the derivatives of the residual ``here`` at these values, shape (2 n, k); the coefficients follow."""
-        # as scipy does, without its checks, which take longer than the residuals
+        """Return the derivatives of the residual ``here`` at these values, shape (2 n, k).
+
+        The coefficients follow the values: with columns Φ, coefficients c and the residual r,
+        ΦᵀΦ dc = -(dΦᵀ r + Φᵀ dΦ c) (variable projection, Golub and Pereyra 1973). Only dΦ is a difference, so the
+        normal equations are solved once.
+        """
         low, high = self.bounds(structure)
-        found = np.empty((here.size, values.size))
+        columns, weight = self.columns(structure, values), self.weight[:, None]
+        rows = _rows(weight * columns)
+        coefficients = _solved(rows, rows @ self.target.view(float))
         steps = np.where(values < 0.0, -SMALL_STEP, SMALL_STEP) * np.maximum(np.abs(values), 1.0)
         steps = np.where((values + steps < low) | (values + steps > high), -steps, steps)
+        moved, right = np.empty((values.size, here.size)), np.empty((values.size, len(coefficients)))
         for k, step in enumerate(steps):
             other = values.copy()
             other[k] += step
-            found[:, k] = (self.solve(self.columns(structure, other))[1] - here) / (other[k] - values[k])
-        return found
+            change = _rows(weight * (self.columns(structure, other) - columns)) / (other[k] - values[k])
+            moved[k], right[k] = coefficients @ change, -(change @ here)
+        return (moved + _solved(rows, (right - moved @ rows.T).T).T @ rows).T
 
     def deviations(self, trial: ModalTrial) -> dict[str, float]:
         """Return the standard deviations of lag [s], delay [s], and frequency [Hz] and damping of the modes.

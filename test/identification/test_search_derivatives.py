@@ -110,6 +110,30 @@ def test_modes_that_are_tried_together_have_the_residuals_of_single_ones():
         assert cost == pytest.approx(float(residual @ residual), rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    "structure, values",
+    [
+        (ModalStructure(True, True), [np.log(2e-3), 0.4]),
+        (ModalStructure(True, True, 1), [np.log(2e-3), 0.4, np.log(90.0), np.log(0.05)]),
+        (ModalStructure(False, False, 1), [np.log(60.0), np.log(0.1)]),
+        (ModalStructure(True, False, 1, series=True), [np.log(2e-3), np.log(90.0), np.log(0.05)]),
+    ],
+)
+def test_the_slopes_of_a_modal_fit_include_the_change_of_its_coefficients(structure, values):
+    voltage, displacement = recording()
+    search = ModalSearch(segment_spectra(voltage, displacement, STEP, 100))
+    values = np.array(values)
+
+    def residual(place):
+        return search.solve(search.columns(structure, place))[1]
+
+    step = 3e-4 * np.eye(len(values))  # the normal equations of free numerators round smaller steps away
+    central = np.column_stack([(residual(values + one) - residual(values - one)) / 6e-4 for one in step])
+    slopes = search.slopes(structure, values, residual(values))
+    scale = np.linalg.norm(central, axis=0)
+    assert np.all(np.linalg.norm(slopes - central, axis=0) < 2e-3 * scale)
+
+
 def test_a_repeated_fit_keeps_the_parts_of_the_dynamics_from_the_second_repetition_on(monkeypatch):
     voltage, displacement = recording()
     asked = []
