@@ -459,8 +459,8 @@ class ModalSearch:
 
         The window correlates neighbouring lines, which :func:`parameter_covariance` counts. It also averages the
         response over :data:`WINDOW_WIDTH` lines, which makes resonances wider: the shift of the parameters by this
-        average is added to their deviations. With two modes there is no deviation of the delay: their free numerators
-        can stand for half a sample of it, so that it has several likely values.
+        average is added to their deviations. With two modes and no lag there is no deviation of the delay: their free
+        numerators can stand for half a sample of it, so that it has several likely values.
         """
         if not trial.values.size:
             return {}
@@ -481,7 +481,8 @@ class ModalSearch:
         lag, _, pairs = self.unpack(trial.structure, trial.values)
         found = {"lag": lag * next(sizes)} if trial.structure.lag else {}
         late = self.T * next(sizes) if trial.structure.delay else 0.0
-        found |= {"delay": late} if trial.structure.delay and len(pairs) < 2 else {}
+        told = len(pairs) < 2 or trial.structure.lag or trial.structure.series
+        found |= {"delay": late} if trial.structure.delay and told else {}
         rows = sorted((frequency, frequency * next(sizes), damping * next(sizes)) for frequency, damping in pairs)
         for number, (_, *both_sizes) in enumerate(rows, start=1):
             found |= dict(zip((f"mode_{number}_hz", f"mode_{number}_damping"), both_sizes, strict=True))

@@ -134,6 +134,19 @@ def test_the_deviations_of_two_modes_are_named_by_their_frequencies_and_there_is
     assert found["mode_1_hz"] < 0.2 * found["mode_2_hz"] and found["mode_2_damping"] < 0.1
 
 
+def test_the_delay_of_two_modes_behind_a_lag_is_within_its_interval():
+    part = LinearPart(
+        lag=0.5e-3, delay=1.25 / RATE, modes=in_series(0.5e-3, [(180.0, 0.02), (420.0, 0.03)]), hold=1.0 / RATE
+    )
+    errors = []
+    for seed in range(4):
+        given, noise = np.random.default_rng(seed).standard_normal((2, 8000))
+        stage = fit_stage(given, part.apply(given, 1.0 / RATE) + 0.01 * noise, 1.0 / RATE, MODES)
+        assert stage.deviations["delay"] < 0.02 / RATE
+        errors.append((stage.part.delay - part.delay) / stage.deviations["delay"])
+    assert np.all(np.abs(errors) < 3.0)
+
+
 def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
     truth = {"lag": 1e-3, "delay": 0.75 / RATE, "mode_1_hz": 280.0, "mode_1_damping": 0.03}
     part = LinearPart(lag=1e-3, delay=0.75 / RATE, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)
