@@ -102,16 +102,15 @@ def design_damping(
 
     Units: ``sample_time`` [s].
     """
-    mode = mode_to_damp(dynamics, sample_time, force)
+    search = _Search(kind, dynamics, sample_time, plants, force, peak)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    search = _Search(kind, mode, dynamics, sample_time, plants, force, peak)
     # first search filters that tolerate one more sample of delay; without success, filters for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
             return found
-    found_at = f"{mode.frequency:.4g} Hz"
+    found_at = f"{search.mode.frequency:.4g} Hz"
     remedy = (
         f"no {kind} damps the resonance at {found_at} on all plants well enough for a PID with M_s ≤ {peak:g};"
         " choose another kind, a higher sample rate or less delay"
@@ -122,11 +121,12 @@ def design_damping(
 class _Search:
     """Responses of the plants on a grid of frequencies, and the search for a filter on them."""
 
-    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force, peak):
+    def __init__(self, kind: str, dynamics: LinearParameters, sample_time: float, plants, force, peak: float):
+        self.mode = mode_to_damp(dynamics, sample_time, force)
         self.force = force
         self.peak = peak  # largest M_s
         self.aimed = SENSITIVITY / REQUIRED.sensitivity_peak * peak
-        self.kind, self.mode, self.dynamics, self.sample_time = KINDS[kind], mode, dynamics, sample_time
+        self.kind, self.dynamics, self.sample_time = KINDS[kind], dynamics, sample_time
         self.plants = plants
         self.z = np.exp(1j * _angles(plants))
         self.responses = [one.plant.response(self.z)[:, :, 0] for one in plants]

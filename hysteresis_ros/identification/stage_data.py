@@ -17,7 +17,7 @@ has its own file.
 from __future__ import annotations
 
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -187,32 +187,31 @@ def _read(source, columns: StageColumns) -> StageReading:
     if wrong:
         raise DataError("uniform", f"{name}: {wrong[0]}")
     asked, skipped = _asked(recording)
-    return _trimmed(name, inputs, outputs, u, y, sample_time, axes, asked, skipped)
+    return _trimmed(StageReading(inputs, outputs, ((u, y),), sample_time, name, axes, asked, skipped))
 
 
-def _asked(recording: Recording) -> tuple[np.ndarray | None, int]:
-    """Return the references of the axes of a stage, if it skipped samples, and the number of these samples."""
+def _asked(recording: Recording) -> tuple[tuple[np.ndarray, ...], int]:
+    """Return the references of the run of a stage, if it skipped samples, and the number of these samples."""
     wanted = [f"{axis}/{signal}" for axis in recording.axes for signal in (ASKED, SKIPPED)]
     if not wanted or not all(name in recording.signals for name in wanted):
-        return None, 0
+        return (), 0
     skipped = np.column_stack([recording[name] for name in wanted[1::2]]) > 0.0
     asked = np.column_stack([recording[name] for name in wanted[::2]])
     count = int(np.count_nonzero(skipped.any(axis=1)))
-    return (asked, count) if count and np.isfinite(asked).all() else (None, count)
+    return (asked,) if count and np.isfinite(asked).all() else (), count
 
 
-def _trimmed(name: str, inputs, outputs, u, y, sample_time: float, axes, asked, skipped: int) -> StageReading:
-    """Return a reading without missing samples at its ends."""
+def _trimmed(reading: StageReading) -> StageReading:
+    """Return a reading of one run without missing samples at its ends."""
+    (u, y), name = reading.runs[0], reading.source
     finite = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
     if not finite.any():
         raise DataError("nan", f"{name}: no sample has all inputs and outputs")
-    first, last = int(np.argmax(finite)), len(finite) - int(np.argmax(finite[::-1]))
-    if not finite[first:last].all():
-        place = first + int(np.argmin(finite[first:last]))
+    kept = slice(int(np.argmax(finite)), len(finite) - int(np.argmax(finite[::-1])))
+    if not finite[kept].all():
+        place = kept.start + int(np.argmin(finite[kept]))
         raise DataError("nan", f"{name}: sample {place} lacks an input or an output; leave it out or record again")
-    runs = ((u[first:last], y[first:last]),)
-    references = () if asked is None else (asked[first:last],)
-    return StageReading(inputs, outputs, runs, sample_time, name, axes, references, skipped)
+    return replace(reading, runs=((u[kept], y[kept]),), asked=tuple(one[kept] for one in reading.asked))
 
 
 def _require(name, inputs, outputs) -> None:
