@@ -68,6 +68,7 @@ from hysteresis_ros.identification.thresholds import (
 )
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+from hysteresis_ros.recordings.loops import turning_points
 from hysteresis_ros.units import readable
 
 GAUSS_NEWTON_STEPS = 6
@@ -459,6 +460,8 @@ TRIED_PLAYS = 20
 SWINGS, POINTS = 16, 40
 #: Size of the small loop, as a fraction of the range.
 SMALL = 0.1
+#: Least size of the recorded loops whose speed is used, as a fraction of the range.
+LARGE = 0.5
 EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 
 
@@ -508,13 +511,15 @@ def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParamete
     if chosen.type == "preisach" and least > POOR * data.stroke:
         return None  # densities of this kind say nothing about such loops
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
-    own = _response(chosen, voltage, data.sample_time)
+    # as fast as the loops of the recording: at another speed, those of a rate-dependent model differ for that reason
+    sample_time = float(np.mean(np.abs(np.diff(voltage)))) / _speed(data)
+    own = _response(chosen, voltage, sample_time)
     decays, gains, errors = [], [1.0], [0.0]
     for fit in fits:
         if fit.rms > (1.0 + EQUAL_DENSITIES) * least:
             continue
         try:
-            other = _response(fit.parameters(), voltage, data.sample_time)
+            other = _response(fit.parameters(), voltage, sample_time)
         except IdentificationError:
             continue
         decays.append(fit.decay)
@@ -533,6 +538,12 @@ def _decaying(low: float, high: float) -> np.ndarray:
     ends = [centre + half * size * (-1.0) ** k for k, size in enumerate(sizes)]
     ends += [centre - SMALL * half, centre + SMALL * half]
     return np.concatenate([np.linspace(a, b, POINTS + 1)[1:] for a, b in zip([0.0, *ends], ends, strict=False)])
+
+
+def _speed(data: Condensed) -> float:
+    """Return the mean speed [V/s] of the voltage between the ends of its large loops, the median over these."""
+    turns = turning_points(data.voltage, LARGE)
+    return float(np.median(np.abs(np.diff(data.voltage[turns])) / np.diff(turns))) / data.sample_time
 
 
 def _response(hysteresis: HysteresisParameters, voltage, sample_time: float) -> np.ndarray:

@@ -143,24 +143,37 @@ def play_operators(p, x, s):
 
 @kernel
 def bouc_wen(p, x, s):
-    """Output of a Bouc-Wen hysteresis with a curved middle line; Heun's step."""
+    """Output of a Bouc-Wen hysteresis with a curved middle line; the solution is exact on a path without reversal."""
     change = s - x[LAST]
-    way = abs(change)
-    h = x[OPENING]
-    first = p[SWING] * change - p[TURN] * way * h - p[SKEW] * change * abs(h)
-    ahead = h + first
-    second = p[SWING] * change - p[TURN] * way * ahead - p[SKEW] * change * abs(ahead)
-    x[OPENING] = h + 0.5 * (first + second)
+    if change != 0.0:
+        way = abs(change)
+        forwards = 1.0 if change > 0.0 else -1.0
+        h = forwards * x[OPENING]
+        if h < 0.0:  # h' = α - (β - γ) h per way forwards, until h is 0
+            decay = p[TURN] - p[SKEW]
+            to_zero = elementary.log1p(-h * decay / p[SWING]) / decay
+            done = min(way, to_zero)
+            h = p[SWING] / decay + (h - p[SWING] / decay) * elementary.exp(-decay * done)
+            way -= done
+        if way > 0.0:  # h' = α - (β + γ) h
+            decay = p[TURN] + p[SKEW]
+            h = p[SWING] / decay + (h - p[SWING] / decay) * elementary.exp(-decay * way)
+        x[OPENING] = forwards * h
     return p[LINEAR] * s + p[SQUARE] * s * s - x[OPENING]
 
 
 @kernel
 def duhem(p, x, s):
-    """Output of the Duhem equation of Coleman and Hodgdon; the relaxation is exact for f at the middle of the step."""
+    """Output of the Duhem equation of Coleman and Hodgdon; the solution is exact on a path without reversal."""
     change = s - x[LAST]
-    middle = x[LAST] + 0.5 * change
-    f = p[LINEAR] * middle + p[SQUARE] * middle * middle
-    x[OPENING] = f + (x[OPENING] - f) * elementary.exp(-p[TURN] * abs(change)) + p[SWING] * change
+    if change != 0.0:
+        turn = p[TURN] if change > 0.0 else -p[TURN]
+        # the polynomial a0 + a1 s + a2 s² that solves y' = turn (f(s) - y) + g, with a2 that of f
+        a1 = p[LINEAR] - 2.0 * p[SQUARE] / turn
+        a0 = (p[SWING] - a1) / turn
+        last = x[LAST]
+        deviation = x[OPENING] - a0 - a1 * last - p[SQUARE] * last * last
+        x[OPENING] = a0 + a1 * s + p[SQUARE] * s * s + deviation * elementary.exp(-turn * change)
     return x[OPENING]
 
 

@@ -66,6 +66,16 @@ def test_only_play_operators_with_a_rate_depend_on_the_speed():
         assert (widths[1] > 1.1 * widths[0]) == (kind == "play")
 
 
+@hystereses
+def test_a_jump_ends_where_the_same_way_ends_slowly(kind):
+    """The hysteresis depends on the path alone: 0 → 100 → 20 → 70 → 0 V, in jumps and in ramps."""
+    turns = [0.0, 100.0, 20.0, 70.0, 0.0]
+    jumps = np.repeat(turns, 500)
+    ramps = np.concatenate([np.linspace(low, high, 500) for low, high in zip([0.0, *turns[:-1]], turns, strict=True)])
+    jumped, moved = (response(voltage, hysteresis=kind, rate=0.0, **BARE)[499::500] for voltage in (jumps, ramps))
+    assert jumped == pytest.approx(moved, abs=2e-3 * np.ptp(moved))
+
+
 def test_creep_follows_a_power_of_time():
     time = np.arange(1, 40001) * T
     still = dict(BARE, hysteresis="bouc_wen", opening=0.0)

@@ -33,6 +33,7 @@ from hysteresis_ros.identification.registry import parse_options
 from hysteresis_ros.identification.separation import find_start
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 from hysteresis_ros.units import readable
 
@@ -346,6 +347,19 @@ def test_the_doubt_of_small_loops_is_a_ratio_of_gains():
     condensed = condense(loops(100.0), hysteresis_block(stack(), T).simulate(loops(100.0)), T, 100)
     one, other = (find_ambiguity(condensed, LinearPart(), stack().scaled(k), True).gain[1] for k in (0.5, 0.25))
     assert other == pytest.approx(2.0 * one, rel=1e-9) and one == pytest.approx(2.0, rel=0.02)
+
+
+def test_the_ambiguity_of_a_rate_dependent_model_holds_at_the_speed_of_the_recording():
+    """The same loops of 1 Hz, sampled at 200 Hz and ten times as fast."""
+    plays = GeneralisedPlayParameters(
+        radii=tuple(RADII[1:20]), weights=tuple(1e-7 * DENSITY[1:20]), slope=1e-7, rate=0.01, memory=0.05
+    )
+    chosen, found = HysteresisParameters(type="generalised_play", generalised_play=plays), []
+    for step in (T, 0.1 * T):
+        voltage = loops(100.0, np.arange(0.0, 4.0, step))
+        condensed = condense(voltage, hysteresis_block(chosen, step).simulate(voltage), step, round(1.0 / step))
+        found.append(find_ambiguity(condensed, LinearPart(), chosen, True).error)
+    assert found[1] == pytest.approx(found[0], rel=0.2)
 
 
 def test_a_resonance_among_the_harmonics_of_a_sine_is_the_shape_of_the_loops():
