@@ -196,6 +196,8 @@ def figure_name(name: str, units: tuple[str, str]) -> str:
 
 def readable(value: float, unit: str) -> str:
     """Return a readable quantity: four digits and a prefix that leaves few zeros, as in ``0.2148 µm``."""
+    if unit.endswith("/s"):
+        return f"{readable(value, unit.removesuffix('/s'))}/s"
     unit = shown_unit(unit)
     if unit == "m":
         size = abs(value)

@@ -149,7 +149,7 @@ def laid_under(config: str, laid_over: tuple[str, ...]):
 
 
 #: SI unit of a figure, by the suffix of its name.
-ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
+ENDINGS = {"_m_per_s": "m/s", "_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
 
 
 def data_options(command):

@@ -358,6 +358,8 @@ def highest_frequency(values, sample_time: float) -> float:
 
 #: Length of an interval; if most of its samples deviate, they are not outliers.
 STRETCH = 11
+#: An outlier is away from its neighbours by at least this fraction of its error.
+AWAY = 0.5
 #: Number of held-out blocks for the test of a drift.
 BLOCKS = 5
 #: Largest number of fits of a model that has no terms for drift and outliers.
@@ -401,10 +403,13 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
 def inliers(error, first: int) -> np.ndarray:
     """Return which samples are not outliers, shape (N,) of bool; samples before ``first`` are never outliers.
 
-    Outliers are single samples and short intervals; longer deviations come from the structure of the model.
+    Outliers are single samples and short intervals away from their neighbours; longer deviations come from the
+    structure of the model.
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     good = _within(error, first) | _within(alone, first)
+    # the peak of a smooth error is near its neighbours, even if noise is smaller still
+    good |= np.abs(alone) < AWAY * np.abs(error - np.median(error[first:]))
     # ringing faster than a median filter is no outlier: its samples are dense
     width = 2 * STRETCH + 1
     near = scipy.ndimage.uniform_filter1d((~good).astype(float), width, mode="constant") * width

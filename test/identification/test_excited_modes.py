@@ -134,6 +134,18 @@ def test_ringing_above_a_tenth_of_the_rate_is_no_outlier(fraction):
     np.testing.assert_array_equal(np.flatnonzero(~inliers(odd, 0)), [500, 1500, 1501, 2500])
 
 
+def test_the_tip_of_a_smooth_model_error_is_no_outlier():
+    """The errors of a model at reversals are tips on a recording almost without noise."""
+    place = np.arange(6000)
+    tips = -4e-8 * np.maximum(1.0 - np.abs(place % 600 - 300) / 40.0, 0.0)
+    error = tips + 5e-9 * np.sin(place / 200.0) + 1e-11 * np.random.default_rng(1).standard_normal(6000)
+    assert inliers(error, 0).all()
+    error[[1000, 2100]] += 6e-8  # the second one is on a tip
+    np.testing.assert_array_equal(np.flatnonzero(~inliers(error, 0)), [1000])  # 2100 is where others are
+    error[[2100, 2101]] -= 1.2e-7
+    np.testing.assert_array_equal(np.flatnonzero(~inliers(error, 0)), [1000, 2100, 2101])
+
+
 def test_a_mode_at_a_bound_of_its_search_is_reported():
     inside = Mode(200.0, 0.02)
     for damping in DAMPING_RANGE:

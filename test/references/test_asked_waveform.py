@@ -71,6 +71,7 @@ def test_a_sensitivity_is_what_a_volt_stands_for(unit, factor):
         (-2.5e-7, "m", "-0.25 µm"),
         (-4e-3, "m", "-4 mm"),
         (0.0, "m", "0 µm"),
+        (1.785e-9, "m/s", "1.785 nm/s"),
         (7.0, "", "7"),
     ],
 )
