@@ -44,6 +44,11 @@ rate.
 reference. The filter f contains these zeros as the factor g, so f and their inverse together are the finite impulse
 response g* p. If the preview is too short for it, the zeros inside the circle are inverted.
 
+**Without preview** the response to a reference that changes now is late by the delay of the dynamics. For a smooth
+reference, ``velocity`` commands r(k) + τ (r(k) - r(k-1)), with the mean delay τ of the dynamics [samples]: the error of
+a ramp is 0, and that of a sine is about (ω τ T)²/2 of its amplitude instead of ω τ T. At a corner of the reference the
+command jumps by τ times the change of velocity.
+
 With ``preview: N`` the reference received at sample k is r(k + N); the controller follows the delayed reference r(k),
 and reports evaluate the error against it.
 
@@ -273,6 +278,18 @@ def relative_degree(dynamics: LinearParameters) -> int:
         The output never responds.
     """
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
+
+
+def mean_delay(dynamics: LinearParameters) -> float:
+    """Return the delay of the model's response to a slow motion [samples]: the mean time of its impulse response."""
+    A, B, C, D = _vectors(dynamics)
+    identity = np.eye(len(A))
+    state = solve(identity - A, B) if len(A) else B
+    gain, late = float(product(C, state)) + D, D
+    if len(A):
+        late += float(product(C, solve(identity - A, state)))
+    whole, part = dynamics.delayed_samples
+    return late / gain + whole + part
 
 
 def _matrices_degree(dynamics: LinearParameters) -> int:
@@ -608,10 +625,11 @@ class FeedforwardParameters(Parameters):
 
     type: str = parameter(
         "none",
-        choices=("none", "static", "inverse_dynamics"),
+        choices=("none", "static", "velocity", "inverse_dynamics"),
         read_only=True,
-        description="none, static (the delayed reference itself: the model has unit DC gain), or inverse_dynamics "
-        "(stable inversion of model.dynamics; needs preview)",
+        description="none, static (the delayed reference itself: the model has unit DC gain), velocity (the reference "
+        "ahead by the mean delay of model.dynamics, by its velocity; for smooth references that are not known ahead), "
+        "or inverse_dynamics (stable inversion of model.dynamics; needs preview)",
     )
     preview: int = parameter(
         0,
@@ -621,6 +639,11 @@ class FeedforwardParameters(Parameters):
         description="number of samples by which the received reference is ahead; the controller follows the "
         "reference delayed by it",
     )
+
+    @property
+    def inverts(self) -> bool:
+        """Whether the model follows the reference under this feedforward: exactly, or if it is smooth."""
+        return self.type in ("velocity", "inverse_dynamics")
 
 
 class Feedforward(Block):
@@ -703,5 +726,8 @@ def _filter(given: FeedforwardParameters, dynamics) -> InverseFilter:
     if given.type == "inverse_dynamics":
         return inverse_filter(dynamics, given.preview)
     nothing = np.zeros(0)
-    weights = np.ones(1) if given.type == "static" else nothing
-    return InverseFilter(0, weights, np.ones(1), np.zeros((0, 0)), nothing, nothing, nothing, nothing, 0.0)
+    first, weights = 0, np.ones(1) if given.type == "static" else nothing
+    if given.type == "velocity":
+        lead = mean_delay(dynamics)
+        first, weights = -1, np.array([-lead, 1.0 + lead])
+    return InverseFilter(first, weights, np.ones(1), np.zeros((0, 0)), nothing, nothing, nothing, nothing, 0.0)

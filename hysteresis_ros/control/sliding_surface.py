@@ -377,7 +377,7 @@ def pack_surface(parameters, sample_time: float | None):
     head[LEVEL] = sign * sliding_mode.beta
     head[WIDTH] = sliding_mode.delta
     head[THRESHOLD] = sliding_mode.anti_windup_threshold
-    head[MOVING] = parameters.feedforward.type == "inverse_dynamics"
+    head[MOVING] = parameters.feedforward.inverts
     head[LAMBDA] = gains.switching_gain
     head[PHI] = sliding_mode.phi
     packed = np.concatenate([head, gains.K[:n], gains.S[:n], filtering])

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
@@ -21,7 +22,7 @@ import yaml
 from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, matches, parse_configuration
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, design_of
 from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
-from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
+from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview, mean_delay
 from hysteresis_ros.control.laws.pid import LITTLE_DAMPING
 from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.linearisation import linear_loop, margins, whole_loop
@@ -31,7 +32,7 @@ from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_mo
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.identification.parameter_file import SECTION, SMALL_LOOP_GAIN
-from hysteresis_ros.identification.safe_motion import with_safe_motion
+from hysteresis_ros.identification.safe_motion import smooth_approach, with_comments, with_safe_motion
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
@@ -555,6 +556,8 @@ def _feedforward(control: ControllerParameters, request: DesignRequest) -> Feedf
         preview = designed_preview(control.model.dynamics)
     if preview < 0:
         raise ConfigurationError(f"--preview {preview}: must be 0 or more samples")
+    if preview == 0:
+        return FeedforwardParameters(type="velocity")
     return FeedforwardParameters(type="inverse_dynamics", preview=preview)
 
 
@@ -585,8 +588,35 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     )
     text = design_text(configuration, result.parameters, namespace, header)
     text = with_safe_motion(text, "the designed file", namespace)
+    if result.parameters.feedforward.type == "velocity":
+        text = _with_smooth_approach(text, result, namespace)
     Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
     return text
+
+
+#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model: the model then
+#: overshoots a move by at most 1/(2 SMOOTH²), 1 %.
+SMOOTH = 7.0
+
+
+def _with_smooth_approach(text: str, result: AxisDesign, namespace: str) -> str:
+    """Return the text of a file whose moves to setpoints are smooth enough for feedforward by velocity."""
+    configuration = parse_configuration(text, "the designed file")
+    axis, sample_time = single_axis(configuration, namespace or None), result.sample_time
+    if axis.reference_generator is None or not axis.generator.approach.maximum_velocity:
+        return text
+    approach = axis.generator.approach
+    dynamics = result.parameters.before_damping(sample_time).model.dynamics
+    limits = smooth_approach(approach.maximum_velocity, SMOOTH * mean_delay(dynamics) * sample_time)
+    slower = {
+        f"approach.{name}": min(limit, getattr(approach, name) or math.inf)
+        for name, limit in zip(("maximum_acceleration", "maximum_jerk"), limits, strict=True)
+    }
+    changed = _text(configuration, lambda before: before | slower, namespace, "", (), "reference_generator")
+    reason = f"each average lasts {SMOOTH:g} mean delays of the model or more: feedforward by velocity"
+    ends = tuple(f"{name.removeprefix('approach.')}: {value!r}" for name, value in slower.items())
+    reasons = "".join(f"{line}  # {reason}\n" for line in changed.splitlines() if line.endswith(ends))
+    return with_comments(with_comments(changed, reasons), text)
 
 
 def _hertz(value: float) -> str:

@@ -42,7 +42,7 @@ class SetpointStep:
     largest: float  #: Largest change of the voltage in a sample [V].
     asked: float  #: Largest change of the voltage in a sample without a slew rate [V].
     allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf: the file has no slew rate.
-    feedforward: bool  #: Whether the dynamics are inverted.
+    feedforward: str  #: Type of a feedforward that inverts the dynamics; empty: none.
 
     @property
     def share(self) -> float:
@@ -68,10 +68,10 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
     own = replace(axis.generator, waveform=WaveformParameters())
     rate = axis.plant_simulator.sample_rate
     generator = ReferenceGenerator(part(own, ReferenceParameters), 1.0 / rate)
-    start = own.initial_setpoint
+    feedforward, start = axis.motion_controller.feedforward, own.initial_setpoint
     target = max((own.minimum, own.maximum), key=lambda end: abs(end - start))
     moving = round(generator.approach.duration(target - start) * rate)
-    after = max(AFTER, round(SETTLING * rate)) + axis.motion_controller.feedforward.preview
+    after = max(AFTER, round(SETTLING * rate)) + feedforward.preview
     setpoints = np.full(min(BEFORE + moving + after, MOST), target)
     setpoints[:BEFORE] = start
     still = replace(axis, reference_generator=own)
@@ -86,7 +86,7 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
         largest=_largest(found["voltage"]),
         asked=_largest(free["voltage"]),
         allowed=allowed,
-        feedforward=axis.motion_controller.feedforward.type == "inverse_dynamics",
+        feedforward=feedforward.type if feedforward.inverts else "",
     )
 
 
@@ -113,7 +113,7 @@ def require_gentle(step: SetpointStep | None) -> None:
     """Refuse a feedforward whose voltage exceeds the slew limit in a step to a setpoint."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
-            f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away needs a change "
+            f"feedforward {step.feedforward}: a setpoint {readable(step.size, 'm')} away needs a change "
             f"of {step.asked:.3g} V in a sample, but limits.slew_rate allows {step.allowed:.3g} V; "
             "lower approach.maximum_velocity, "
             "maximum_acceleration and maximum_jerk of reference_generator, or design without --feedforward"

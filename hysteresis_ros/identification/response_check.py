@@ -146,8 +146,8 @@ class ResponseCheck:
         if not np.isinf(known) and self.certain < self.seen:
             why = "other movement of the output masks them" if self.foreign > FOREIGN else NO_CONTENT.format(driver)
             found.append(
-                f"dynamics above {known:.3g} Hz are unknown ({why}): a design is limited to a crossover of about "
-                f"{self.certain:.2g} Hz"
+                f"dynamics above {known:.3g} Hz are unknown ({why}): without a roll-off a design is limited to a "
+                f"crossover of about {self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
 

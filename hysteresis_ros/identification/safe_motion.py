@@ -117,8 +117,16 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
     """
     velocity = _rounded(FOR_SETPOINTS * slew * stroke / span)
     length = 1.0 / resonance if resonance > 0.0 else UNKNOWN_PART * stroke / velocity
+    return velocity, *smooth_approach(velocity, length)
+
+
+def smooth_approach(velocity: float, length: float) -> tuple[float, float]:
+    """Return acceleration [m/s²] and jerk [m/s³] of an approach whose averages each last ``length`` [s].
+
+    Units: ``velocity`` [m/s].
+    """
     # windows of 2 V/A and 4 V/(2 V/A J), see the approach
-    return velocity, _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
+    return _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
 
 
 def with_safe_motion(
@@ -163,7 +171,7 @@ def with_safe_motion(
     if configuration.stage is not None and "approach.from_rest" not in reference:
         why = "the first motion, from rest to the initial setpoint, keeps the limits too"
         text = _with_values(text, "reference_generator", namespace, "approach", {"from_rest": (True, why)})
-    inverts = nodes["motion_controller"].get("feedforward.type") == "inverse_dynamics"
+    inverts = nodes["motion_controller"].get("feedforward.type") in ("velocity", "inverse_dynamics")
     if inverts and not reference.get("approach.steps", False):
         why = "steps of a waveform keep the limits too: the feedforward inverts the dynamics"
         text = _with_values(text, "reference_generator", namespace, "approach", {"steps": (True, why)})

@@ -103,14 +103,13 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
 
 
 def _bare_steps(axis, given: ReferenceParameters):
-    inverts = axis.motion_controller.feedforward.type == "inverse_dynamics"
-    approach = given.approach
-    if not inverts or not given.waveform.shape.jumps or (approach.steps and not approach.unlimited):
+    feedforward, approach = axis.motion_controller.feedforward, given.approach
+    if not feedforward.inverts or not given.waveform.shape.jumps or (approach.steps and not approach.unlimited):
         return
     add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
     remedy = (
-        f"jumps, and feedforward.type inverse_dynamics saturates the voltage at a jump: {add}set approach.steps: true, "
-        "which applies the limits of the approach to steps, or choose feedforward.type static or none"
+        f"jumps, and feedforward.type {feedforward.type} saturates the voltage at a jump: {add}set approach.steps: "
+        "true, which applies the limits of the approach to steps, or choose feedforward.type static or none"
     )
     yield Problem("reference_generator: waveform.type", given.waveform.type, remedy)
 

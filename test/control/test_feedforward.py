@@ -24,6 +24,7 @@ from hysteresis_ros.control.feedforward import (
     designed_preview,
     inverse_filter,
     inversion_error,
+    mean_delay,
     preview_warning,
     relative_degree,
     sufficient_preview,
@@ -104,10 +105,44 @@ def test_with_enough_preview_the_model_is_at_the_reference_at_every_sample(dynam
 
 def test_the_delayed_reference_is_the_reference_before_preview_samples_and_begins_at_rest():
     reference = motion(50)
-    for kind in ("none", "static", "inverse_dynamics"):
+    for kind in ("none", "static", "velocity", "inverse_dynamics"):
         delayed, _ = followed(LAG, 5, reference, kind)
         assert np.array_equal(delayed[5:], reference[:-5])
         assert np.all(delayed[:5] == reference[0])
+
+
+#: Lag of one sample in five and 2.3 samples of delay; a mode; an input that also acts at once.
+LATE = replace(LAG, A=(0.8,), B=(0.2,), delay=2.3e-3, sample_time=1e-3)
+MODE = LinearParameters(A=(0.0, 1.0, -0.9, 1.5), B=(0.0, 1.0), C=(0.4, 0.0), output_scale=1e-6)
+DIRECT = LinearParameters(A=(0.7,), B=(0.3,), C=(0.9,), D=(0.1,), output_scale=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "delay"),
+    [
+        (LinearParameters(), 1.0),
+        (LATE, 5.0 + 2.3),  # 1/(1 - 0.8) samples of a lag
+        (MODE, 2.0 + (1.5 - 2.0 * 0.9) / 0.4),  # of 0.4 z⁻²/(1 - 1.5 z⁻¹ + 0.9 z⁻²)
+        (DIRECT, 0.9 / (1.0 - 0.7) + 0.1),
+        (KIM, None),
+    ],
+)
+def test_velocity_feedforward_follows_ramps_exactly_and_sines_to_second_order(dynamics, delay):
+    tau = mean_delay(dynamics)
+    assert delay is None or tau == pytest.approx(delay, rel=1e-9)
+    ramp = 1e-9 * np.maximum(np.arange(3000) - 500, 0)
+    _, outputs = followed(dynamics, 0, ramp, "velocity")
+    assert outputs[-1] == pytest.approx(ramp[-1], rel=2e-6)  # the DC gain of KIM is known to six digits
+    # the error of a sine falls with the square of its frequency; with a static feedforward it is ω τ
+    largest = {}
+    for kind in ("velocity", "static"):
+        for turn in (0.002, 0.004):
+            sine = 1e-6 * np.sin(turn * np.arange(6000))
+            _, outputs = followed(dynamics, 0, sine, kind)
+            largest[kind, turn] = np.max(np.abs(outputs - sine)[3000:]) / 1e-6
+    assert largest["static", 0.002] == pytest.approx(0.002 * abs(tau), rel=0.02)
+    assert largest["velocity", 0.004] == pytest.approx(4.0 * largest["velocity", 0.002], rel=0.05)
+    assert largest["velocity", 0.004] < 0.1 * largest["static", 0.004]
 
 
 def test_kims_sampling_zeros_are_the_published_realisations():

@@ -761,6 +761,9 @@ RUNS: dict[str, Callable[[], Signals]] = {
             {CONTROLLER: {"feedforward__type": "inverse_dynamics", "feedforward__preview": 13}},
         ),
     ),
+    "feedforward by velocity": run(
+        "stage700", **merged(wave("sine", frequency=30.0), {CONTROLLER: {"feedforward__type": "velocity"}})
+    ),
     # learning
     "repetitive learning": run(samples=200, **{SOURCE: TAUGHT, CONTROLLER: LEARNS}),
     "learning by inversion": run(

@@ -184,9 +184,9 @@ def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_
     assert [line.split("  ")[0] for line in step_lines(text, None, True)] == [row[0] for row in found.rows()]
 
 
-@pytest.mark.parametrize("shape", ["steps", "square"])
-def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoints_do(shape):
-    configuration = parse_configuration(designed(FLEXURE, feedforward=True), "designed.yaml")
+@pytest.mark.parametrize(("shape", "preview"), [("steps", None), ("square", None), ("square", 0)])
+def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoints_do(shape, preview):
+    configuration = parse_configuration(designed(FLEXURE, feedforward=True, preview=preview), "designed.yaml")
     levels = {"waveform.steps.values": [0.0, 30e-6], "waveform.steps.times": [0.0, 0.05]}
     waveform = {"waveform.type": shape, "waveform.amplitude": 30e-6, "waveform.frequency": 5.0, **levels}
     run = simulate(single_axis(configuration.override("reference_generator", **waveform)), duration=0.3, describe=False)
@@ -201,6 +201,30 @@ def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoint
     bare = configuration.override("reference_generator", **waveform, **{"approach.steps": False})
     with pytest.raises(ParameterError, match=r"set approach\.steps: true"):
         single_axis(bare)
+
+
+def test_moves_are_smooth_enough_for_feedforward_by_velocity():
+    """A setpoint is followed without delay and hardly overshot, and a slow sine with a fraction of the error."""
+    text = designed(FLEXURE, feedforward=True, preview=0)
+    configuration = parse_configuration(text, "designed.yaml")
+    assert configuration.node("motion_controller")["feedforward.type"] == "velocity"
+    assert "each average lasts 7 mean delays of the model or more: feedforward by velocity" in text
+    assert setpoint_step(single_axis(configuration)).overshoot < 0.015
+    sine = {"waveform.type": "sine", "waveform.amplitude": 20e-6, "waveform.frequency": 2.0, "initial_setpoint": 45e-6}
+    errors = {}
+    for name, file in (("velocity", text), ("none", designed(FLEXURE))):
+        axis = single_axis(parse_configuration(file, "designed.yaml").override("reference_generator", **sine))
+        run = simulate(axis, duration=2.0, describe=False)
+        errors[name] = np.std((run["reference"] - run["displacement"])[len(run["time"]) // 2 :])
+    assert errors["velocity"] < 0.1 * errors["none"]
+    # an approach that is slower already stays
+    slow = FLEXURE.replace(
+        "    maximum: 99.0e-6\n",
+        "    maximum: 99.0e-6\n"
+        "    approach: {maximum_velocity: 1e-4, maximum_acceleration: 1e-4, maximum_jerk: 1e-4}\n",
+    )
+    kept = parse_configuration(designed(slow, feedforward=True, preview=0), "slow.yaml").node("reference_generator")
+    assert kept["approach.maximum_acceleration"] == kept["approach.maximum_jerk"] == 1e-4
 
 
 def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused(tmp_path):
