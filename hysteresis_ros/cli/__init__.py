@@ -11,5 +11,5 @@
 
 Module ``entry`` starts the command. ``main`` contains the table of subcommands and imports a subcommand only when it is
 called. The subcommands share ``options`` and ``progress``; ``recording`` contains those that read a recording (report,
-verify, export, repair). Subcommands of the laboratory are in its folders, as ``command.py``.
+verify, export, repair). Subcommands of the laboratory are in :mod:`hysteresis_ros.laboratory.commands`.
 """

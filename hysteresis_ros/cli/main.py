@@ -52,7 +52,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "Look at runs": {
         "watch": (
-            "hysteresis_ros.laboratory.watch.command:watch",
+            "hysteresis_ros.laboratory.commands:watch",
             "Show a running axis in the browser, and tune it there.",
         ),
         "report": ("hysteresis_ros.cli.recording:report", "Evaluate recordings: figures, charts, one HTML page."),
@@ -99,26 +99,26 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "hysteresis_ros.laboratory.emulation.command:emulate",
             "Emulate a device with a simulated plant and faults.",
         ),
-        "ioc": ("hysteresis_ros.laboratory.epics.command:ioc", "Serve axes as EPICS motor records."),
+        "ioc": ("hysteresis_ros.laboratory.commands:ioc", "Serve axes as EPICS motor records."),
         "camera": ("hysteresis_ros.cli.camera:camera", "Measure displacements in a video or a folder of pictures."),
         "policy": ("hysteresis_ros.cli.describe:policy", "Write the SROS 2 policy of the nodes."),
         "urdf": ("hysteresis_ros.cli.describe:urdf", "Print an axis as a URDF with its joint and limits."),
     },
     "Study": {
         "compare": (
-            "hysteresis_ros.laboratory.comparison.command:compare",
+            "hysteresis_ros.laboratory.commands:compare",
             "Rank controllers and compensators for an axis.",
         ),
         "sweep": (
-            "hysteresis_ros.laboratory.sweeps.command:sweep",
+            "hysteresis_ros.laboratory.commands:sweep",
             "Run an axis with varied parameters: yield, sensitivity.",
         ),
         "benchmark": (
-            "hysteresis_ros.laboratory.benchmark.command:benchmark",
+            "hysteresis_ros.laboratory.commands:benchmark",
             "Test models of hysteresis on public recordings and synthetic plants.",
         ),
         "reproduce": (
-            "hysteresis_ros.laboratory.papers.command:reproduce",
+            "hysteresis_ros.laboratory.commands:reproduce",
             "Repeat a paper's experiments: published and reproduced figures.",
         ),
     },
@@ -126,7 +126,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "verify": ("hysteresis_ros.cli.recording:verify", "Compare a recorded run with its offline twin, bit for bit."),
         "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure which sample rates this machine achieves."),
         "faults": (
-            "hysteresis_ros.laboratory.campaign.command:faults",
+            "hysteresis_ros.laboratory.commands:faults",
             "Inject faults into a simulated axis, and report the outcome.",
         ),
     },

@@ -10,5 +10,5 @@
 """Applications of the package that no axis needs: papers, comparisons, sweeps, emulated devices, fault campaigns.
 
 The laboratory imports the rest of the package, which never imports the laboratory: commands, drivers and ``hr.*`` refer
-to it by name.
+to it by name. ``commands`` contains its subcommands.
 """

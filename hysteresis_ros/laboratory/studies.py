@@ -7,10 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs, and studies of more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` …, in SI units.
-
-Each function does the same as its command: ``hysteresis design``, ``frf``, ``compare``, ``reproduce``.
-"""
+"""Studies of more than one run: ``hr.compare`` and ``hr.reproduce``, as by ``hysteresis compare`` and ``reproduce``."""
 
 from __future__ import annotations
 
@@ -24,8 +21,8 @@ from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.laboratory.comparison.compare import compare as compare_candidates
 from hysteresis_ros.laboratory.comparison.table import Ranking
 from hysteresis_ros.laboratory.comparison.tasks import Conditions
+from hysteresis_ros.laboratory.papers import EXPERIMENTS
 from hysteresis_ros.laboratory.papers.claims import Reproduction
-from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
 
 __all__ = ["Ranking", "Reproduction", "compare", "reproduce"]
 

@@ -16,7 +16,7 @@ import pytest
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.laboratory.benchmark import simple_models
+from hysteresis_ros.laboratory.benchmark import models
 from hysteresis_ros.laboratory.benchmark.judging import interval, run
 from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.benchmark.models import load_model
@@ -170,8 +170,8 @@ def test_the_interval_holds_the_true_error(memory):
 def test_the_gradient_of_the_recurrent_unit_is_that_of_its_error():
     """By differences of the mean square error after the warm-up, for some weights of each array."""
     random = np.random.default_rng(0)
-    unit = simple_models.GatedRecurrentUnit()
-    size, units = 3 * simple_models.UNITS, simple_models.UNITS
+    unit = models.GatedRecurrentUnit()
+    size, units = 3 * models.UNITS, models.UNITS
     shapes = ((2, size), (units, size), (size,), (units,), (2,))
     unit.weights = [0.5 * random.standard_normal(shape) for shape in shapes]
     x, target, warm = random.standard_normal((12, 3, 2)), random.standard_normal((12, 3)), 4
@@ -201,7 +201,7 @@ def hysteretic(samples: int, seed: int) -> IdentificationData:
     corners = np.arange(0, samples + 40, 40)
     u = np.interp(np.arange(samples), corners, 10.0 * random.uniform(-1, 1, len(corners)))
     u[0] = 0.0
-    y = simple_models.plays(u, np.array([0.0, 2.0, 4.0])) @ np.array([1.0, 0.5, 2.0]) + 3.0
+    y = models.plays(u, np.array([0.0, 2.0, 4.0])) @ np.array([1.0, 0.5, 2.0]) + 3.0
     return IdentificationData(1e-3 * np.arange(samples), u, y)
 
 

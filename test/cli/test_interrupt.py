@@ -102,7 +102,7 @@ def interrupted(process: subprocess.Popen) -> tuple[int, str]:
         ("numpy", ["simulate", "kim2009", "-o", "{}/a.npz"]),
         ("scipy", ["identify", "{}/data.csv", "-o", "{}/a.yaml"]),
         ("hysteresis_ros.analysis.metrics", ["report", "{}/run.csv"]),
-        ("hysteresis_ros.laboratory.papers.command", ["reproduce", "kim2009"]),
+        ("hysteresis_ros.laboratory.commands", ["reproduce", "kim2009"]),
         ("hysteresis_ros.laboratory.papers.kim2009.reproduction", ["reproduce", "kim2009"]),
         ("hysteresis_ros.identification.workflow", ["validate", "{}/a.yaml", "{}/data.csv"]),
         ("hysteresis_ros.laboratory.comparison", ["compare", "kim2009"]),

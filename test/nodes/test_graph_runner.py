@@ -30,7 +30,7 @@ from click.testing import CliRunner
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.laboratory.papers import graph_runner
+from hysteresis_ros.laboratory.papers import runs
 from hysteresis_ros.laboratory.papers.claims import Claim, Reproduction
 from hysteresis_ros.laboratory.papers.kim2009 import axis as kim
 from hysteresis_ros.laboratory.papers.kim2009 import reproduction as kim2009
@@ -66,7 +66,7 @@ def ros():
 def test_a_run_through_the_nodes_has_every_signal_of_a_simulation_bit_for_bit(ros):
     offline = kim.run_steps(small_axis(), HOLD)
     seen = []
-    runner = graph_runner.GraphRunner(lambda number, known, axis: seen.append((number, known)))
+    runner = runs.GraphRunner(lambda number, known, axis: seen.append((number, known)))
     with through(runner):
         online = kim.run_steps(small_axis(), HOLD)
         again = kim.run_steps(small_axis(), HOLD)
@@ -80,7 +80,7 @@ def test_a_run_through_the_nodes_has_every_signal_of_a_simulation_bit_for_bit(ro
 
 def test_runs_side_by_side_keep_their_own_numbers(ros):
     axes = [single_axis(kim.open_loop(small_axis())).with_duration(0.01 * count) for count in (1, 2)]
-    runner = graph_runner.GraphRunner()
+    runner = runs.GraphRunner()
     runner.prepare([*axes, axes[0]], jobs=2)
     assert runner.runs == 2
     for axis in axes:
@@ -104,8 +104,8 @@ def test_an_error_names_the_run(monkeypatch):
         def __init__(self, *arguments, **options):
             raise GraphError("/plant_simulator was killed by SIGKILL; the other nodes were stopped", 1)
 
-    monkeypatch.setattr(graph_runner, "require_ros", lambda: None)
-    monkeypatch.setattr(graph_runner, "Graph", Broken)
+    monkeypatch.setattr(runs, "require_ros", lambda: None)
+    monkeypatch.setattr(runs, "Graph", Broken)
     monkeypatch.setattr(kim2009, "reproduce", small_experiment)
     result = CliRunner().invoke(main, ["reproduce", "kim2009", "--through", "ros"])
     assert result.exit_code == 1

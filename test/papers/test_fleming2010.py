@@ -18,9 +18,8 @@ import pytest
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.laboratory.papers import fleming2010
 from hysteresis_ros.laboratory.papers.claims import format_claims
-from hysteresis_ros.laboratory.papers.fleming2010 import axis as fleming
-from hysteresis_ros.laboratory.papers.fleming2010 import reproduction as fleming2010
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import single_axis
 
@@ -46,7 +45,7 @@ def test_the_document_shows_the_table_as_it_is_printed(found):
 
 def test_the_configuration_has_the_gains_that_the_reproduction_finds():
     node = single_axis(load_configuration("fleming2010")).motion_controller
-    given, made = part(node, ControllerParameters), fleming.designed(load_configuration("fleming2010"))["tracking"]
+    given, made = part(node, ControllerParameters), fleming2010.designed(load_configuration("fleming2010"))["tracking"]
     assert given.damping.irc == made.damping.irc
     for name in ("Kp", "Ki", "Kd", "derivative_filter"):
         assert getattr(given.pid, name) == pytest.approx(getattr(made.pid, name), rel=1e-4)
@@ -54,12 +53,12 @@ def test_the_configuration_has_the_gains_that_the_reproduction_finds():
 
 def test_law_and_damping_are_the_integrator_in_front_of_the_papers_second_order_controller():
     # gain/s · k/(s − k D_f) in the outer loop, at frequencies far below the sample rate
-    model, k, gain = fleming.scanner(934.0, 1e-5), 3000.0, 700.0
+    model, k, gain = fleming2010.scanner(934.0, 1e-5), 3000.0, 700.0
     from hysteresis_ros.control.linearisation import linear_loop
 
-    controller, _ = linear_loop(fleming.tracking(gain, k, model), 1e-5)
+    controller, _ = linear_loop(fleming2010.tracking(gain, k, model), 1e-5)
     hertz = np.array([3.0, 50.0, 400.0, 2000.0])
     s = 2j * np.pi * hertz
-    outer = -controller.response(np.exp(s * 1e-5))[:, 0, 1] * (1.0 + 1.0 / fleming.FEEDTHROUGH)
-    assert outer == pytest.approx(gain / s * k / (s - k * fleming.FEEDTHROUGH), rel=0.07)
-    assert outer[:3] == pytest.approx((gain / s * k / (s - k * fleming.FEEDTHROUGH))[:3], rel=0.02)
+    outer = -controller.response(np.exp(s * 1e-5))[:, 0, 1] * (1.0 + 1.0 / fleming2010.FEEDTHROUGH)
+    assert outer == pytest.approx(gain / s * k / (s - k * fleming2010.FEEDTHROUGH), rel=0.07)
+    assert outer[:3] == pytest.approx((gain / s * k / (s - k * fleming2010.FEEDTHROUGH))[:3], rel=0.02)

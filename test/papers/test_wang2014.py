@@ -19,8 +19,8 @@ import pytest
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.identification.arx import fit_arx
+from hysteresis_ros.laboratory.papers import EXPERIMENTS
 from hysteresis_ros.laboratory.papers.claims import format_claims
-from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
 from hysteresis_ros.laboratory.papers.wang2014 import axis as wang
 from hysteresis_ros.laboratory.papers.wang2014 import identification, model
 from hysteresis_ros.laboratory.papers.wang2014 import reproduction as wang2014

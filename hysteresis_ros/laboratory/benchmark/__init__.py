@@ -10,6 +10,6 @@
 """A benchmark of models of hysteresis: public recordings and synthetic plants, models of the package and of anyone.
 
 Start with ``manifest`` (which recordings, and their parts for fit and test) and ``models`` (the contract ``fit`` and
-``predict``, and the models of the package); ``simple_models`` has models to compare with, ``synthetic`` the plants with
-a known truth; ``judging`` fits and judges one model on one recording, and ``table`` prints all of them.
+``predict``, the models of the package, and simple models to compare with); ``synthetic`` has the plants with a known
+truth; ``judging`` fits and judges one model on one recording, and ``table`` prints all of them.
 """

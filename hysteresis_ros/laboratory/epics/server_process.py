@@ -72,7 +72,7 @@ def serve(
         graph = stack.enter_context(Graph(list(axes), log_level="warn")) if axes else None
         # a separate process, because the pip wheels of ROS restart the interpreter on import
         server = subprocess.Popen(
-            [sys.executable, "-m", "hysteresis_ros.laboratory.epics", request],
+            [sys.executable, "-m", "hysteresis_ros.laboratory.epics.server", request],
             env=server_environment(addresses, port),
             start_new_session=True,
             preexec_fn=partial(die_with_parent, os.getpid()),

@@ -7,7 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repetition of published experiments, one folder per paper: each claim is compared with its reproduction.
+"""Repetition of published experiments, one folder or module per paper: each claim is compared with its reproduction.
 
 Start with ``claims`` and ``runs``, then read ``reproduction`` of a paper; its ``axis`` contains the published values.
+``fleming2010`` is a single module.
 """
+
+#: Modules by the papers' names, each with ``reproduce()`` and ``figures(found)``.
+EXPERIMENTS = {
+    "kim2009": "hysteresis_ros.laboratory.papers.kim2009.reproduction",
+    "auwal2017": "hysteresis_ros.laboratory.papers.auwal2017.reproduction",
+    "wang2014": "hysteresis_ros.laboratory.papers.wang2014.reproduction",
+    "fleming2010": "hysteresis_ros.laboratory.papers.fleming2010",
+}

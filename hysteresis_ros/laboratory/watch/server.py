@@ -7,7 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The web server of the page: files, one web socket per open page, and a stop that needs no socket."""
+"""The web server of the page: files, one web socket per open page, and a stop that needs no socket.
+
+The argument of its process is the JSON of :mod:`hysteresis_ros.laboratory.watch.server_process`.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,34 @@ import itertools
 import json
 import math
 import pathlib
+import signal
+import sys
+import threading
 import time
 from collections.abc import Awaitable, Callable
 
+import rclpy
 from aiohttp import WSMsgType, web
+from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.laboratory.watch.access import COOKIE, FREE, Access, Control, Request, RequestError, read_request
+from hysteresis_ros.laboratory.watch.access import (
+    COOKIE,
+    FREE,
+    Access,
+    Control,
+    Request,
+    RequestError,
+    new_token,
+    read_request,
+)
 from hysteresis_ros.laboratory.watch.link import AxisLink
 from hysteresis_ros.laboratory.watch.memory import motor_values
 from hysteresis_ros.laboratory.watch.views import View
+from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.remote.commands import stands
+from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 
 #: Frames per second; intervals of the status, of the spectrum and of the plane [s].
 FRAMES, STATUS, SPECTRUM, PLANE = 25.0, 0.25, 0.5, 0.25
@@ -38,6 +57,8 @@ LONGEST, WAITING = 64 * 1024, 32
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
 #: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0
+#: Time that open pages get to close at the end [s], and interval at which other events are checked [s].
+PATIENCE, LOOK = 1.0, 0.2
 #: Maximum numbers of open pages and of connections; time in which a new connection must send a request [s].
 MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0
 #: Headers for the browser: nothing from other origins, no embedding in other pages, no caching.
@@ -385,3 +406,52 @@ class Server:
         if not self.link.memory.is_live:
             raise HysteresisError("stop was sent, but the axis is silent: it is unknown whether it has stopped")
         raise HysteresisError("stop was sent, but the plant does not confirm it: switch the amplifier off")
+
+
+def main() -> int:
+    """Serve the page that the only argument describes until a signal arrives; return the exit code."""
+    request = json.loads(sys.argv[1])
+    stay_on_this_machine()
+    namespace, bind = request["namespace"], request["bind"]
+    enclave = ["--ros-args", "--enclave", enclave_of(namespace, PAGE)]
+    over = threading.Event()
+    try:
+        rclpy.init(args=enclave, signal_handler_options=SignalHandlerOptions.NO)
+        link = AxisLink(namespace, pathlib.Path(request["folder"]))
+    except Exception as error:  # rclpy raises a different exception for each error in a name
+        words = str(error).split(", at /")[0]
+        print(f"hysteresis: --namespace {namespace}: {' '.join(words.split())}", file=sys.stderr)
+        return 2
+    hearing = threading.Thread(target=link.run, args=(over,), daemon=True)
+    hearing.start()
+    server = Server(link, Access(bind, new_token(bind)))
+    try:
+        asyncio.run(_serve(server, bind, request["port"], hearing.is_alive))
+        if not hearing.is_alive():
+            return 1  # the reason was printed
+    except OSError as error:
+        print(f"hysteresis: {bind}:{request['port']}: cannot listen on it: {error.strerror}", file=sys.stderr)
+        return 2
+    finally:
+        over.set()
+        hearing.join()
+        rclpy.shutdown()
+    return 0
+
+
+async def _serve(server: Server, bind: str, port: int, is_heard: Callable[[], bool]) -> None:
+    """Serve until a signal arrives, or the link to the axis ends."""
+    leave = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, leave.set)
+    async with server.listening(bind, port, PATIENCE) as port:
+        host = f"[{bind}]" if ":" in bind else bind
+        token = f"?token={server.access.token}" if server.access.token else ""
+        print(f"watch {server.link.namespace or '/'}: http://{host}:{port}/{token}", flush=True)
+        while not leave.is_set() and is_heard():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(leave.wait(), LOOK)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

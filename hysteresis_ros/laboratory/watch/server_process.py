@@ -71,7 +71,7 @@ class Pages:
         guard = partial(die_with_parent, os.getpid())
         for request in self._requests:
             # a separate process, because the pip wheels of ROS restart the interpreter on import
-            command = [sys.executable, "-m", "hysteresis_ros.laboratory.watch", request]
+            command = [sys.executable, "-m", "hysteresis_ros.laboratory.watch.server", request]
             options: dict[str, Any] = {"env": node_environment(), "start_new_session": True, "preexec_fn": guard}
             self._processes.append(subprocess.Popen(command, **options))
         return self
