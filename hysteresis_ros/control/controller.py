@@ -89,13 +89,7 @@ def with_groups(cls):
 
 
 def design_of(name: str):
-    """Return law and design of a name that ``hysteresis design --controller`` takes.
-
-    Raises
-    ------
-    ConfigurationError
-        The name is unknown; the message lists the known ones.
-    """
+    """Return law and design of a name of ``hysteresis design``; ConfigurationError lists the known names."""
     if name not in DESIGNS:
         there = ", ".join(sorted(DESIGNS))
         raise ConfigurationError(f"no controller '{name}' to design; there are: {there}{did_you_mean(name, DESIGNS)}")
@@ -190,17 +184,11 @@ class Handover(Block):
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal to its last output, and let the difference from the input decay.
 
-    Used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
-
-    Parameters
-    ----------
-    block : Handover
-    last : float, optional
-        Value to continue from, when another output (a safe one) was sent since the block's last output.
-    lasting : float, optional
-        Mean recent difference between the output and the new input. Only this part decays with the time constant. The
-        deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly decaying
-        bias from noise would disturb the feedback.
+    Used after a change of controller type or gains, after a stale measurement, and at a start after a stop. ``last`` is
+    the value to continue from, when another output (a safe one) was sent since the block's last output. ``lasting`` is
+    the mean recent difference between the output and the new input: only this part decays with the time constant. The
+    deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly decaying bias
+    from noise would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -312,10 +300,8 @@ class ControllerParameters(Parameters):
 def controller_block(parameters: ControllerParameters, sample_time: float) -> Controller:
     """Return the controller of ``parameters``; if they contain damping, its model is the damped plant.
 
-    Raises
-    ------
-    ParameterError
-        A parameter is out of range, the parameters give no stable controller, or the model is for another sample time.
+    A ParameterError names a parameter out of range, the lack of a stable controller, or a model for another sample
+    time.
     """
     parameters.validated().model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
     own = parameters.before_damping(sample_time)
@@ -325,10 +311,7 @@ def controller_block(parameters: ControllerParameters, sample_time: float) -> Co
 def damping_block(parameters: ControllerParameters, sample_time: float) -> Damping:
     """Return the damping block, which follows the controller.
 
-    Raises
-    ------
-    ParameterError
-        The damping filter cannot run at this sample time, or the inner loop is unstable on the model.
+    ParameterError: the filter cannot run at this sample time, or the inner loop is unstable on the model.
     """
     return Damping(parameters, sample_time)
 
@@ -341,13 +324,7 @@ def prepare_controllers() -> None:
 
 
 def feedforward_block(parameters: ControllerParameters, sample_time: float) -> Feedforward:
-    """Return the feedforward block, which precedes the controller.
-
-    Raises
-    ------
-    ParameterError
-        The requested inverse of the model does not exist.
-    """
+    """Return the feedforward block, which precedes the controller; ParameterError without the requested inverse."""
     return Feedforward(parameters.before_damping(sample_time), sample_time)
 
 
@@ -420,30 +397,12 @@ class History:
 def successor(
     parameters: ControllerParameters, sample_time: float, predecessor: Controller, history: History
 ) -> tuple[Controller, float | None]:
-    """Return the controller of ``parameters``, ready for the sample after the last one of ``predecessor``.
+    """Return the controller of ``parameters`` for the sample after the last one of ``predecessor``, and ``lasting``.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
-    predecessor : Controller
-        The present controller; it is not changed.
-    history : History
-        The last samples; when it is empty the observer starts from rest at the next measurement.
-
-    Returns
-    -------
-    controller : Controller
-    lasting : float or None
-        Mean recent difference between achieved command and the new controller's command [m], for
-        :func:`hysteresis_ros.control.controller.arm`. None when it is unknown, or when the controller continues from
-        the present command.
-
-    Raises
-    ------
-    ParameterError
-        No controller can be built from the parameters.
+    ``predecessor`` is not changed. When ``history``, the last samples, is empty, the observer starts from rest at the
+    next measurement. ``lasting`` is the mean recent difference between achieved command and the new controller's
+    command [m], for :func:`hysteresis_ros.control.controller.arm`; None when it is unknown, or when the controller
+    continues from the present command. ParameterError: no controller can be built from the parameters.
     """
     made = controller_block(parameters, sample_time)
     lasting = None

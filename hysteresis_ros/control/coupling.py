@@ -39,19 +39,9 @@ SOUGHT, KEPT = 1e-4, 1e-9
 
 
 def lost_direction(gain, names: Sequence[str]) -> str:
-    """Return the direction of the inputs that a singular gain maps to zero.
+    """Return the direction of the inputs that a singular gain maps to zero, such as ``+0.71 x, -0.71 y``.
 
-    Parameters
-    ----------
-    gain : array_like, shape (n, n)
-    names : sequence of str
-        Names of its n inputs.
-
-    Returns
-    -------
-    str
-        Such as ``+0.71 x, -0.71 y``; empty for a regular gain, whose smallest singular value is more than
-        :data:`SINGULAR` times the largest.
+    It is empty for a regular gain, whose smallest singular value is more than :data:`SINGULAR` times the largest.
     """
     _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
     if sizes[-1] > SINGULAR * sizes[0]:

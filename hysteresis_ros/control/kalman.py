@@ -81,16 +81,7 @@ def filter_length(p, first):
 def kalman_step(p, x, first, start, applied, measured):
     """Update the estimate and return the estimated output; the filter's arrays begin at p[first] and x[start].
 
-    Parameters
-    ----------
-    p, x : ndarray
-        Arrays of the filter, or of a block that contains one.
-    first, start : int
-        Indices at which the filter's part begins.
-    applied : float
-        Input actually applied at the previous sample.
-    measured : float
-        Measurement of this sample.
+    ``applied`` is the input actually applied at the previous sample, ``measured`` the measurement of this sample.
     """
     n = int(p[first + ORDER])
     m = int(p[first + DISTURBED])
@@ -224,21 +215,8 @@ def disturbance_states(parameters: KalmanParameters) -> int:
 def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
     """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances of the change of w per sample.
 
-    Parameters
-    ----------
-    parameters : KalmanParameters
-    sample_time : float or None
-        Sample time [s]; only a periodic disturbance needs it.
-
-    Returns
-    -------
-    A_d : ndarray, shape (m, m)
-    c_d, variances : ndarray, shape (m,)
-
-    Raises
-    ------
-    ParameterError
-        ``kalman.disturbance_frequency`` is out of range, or a variance is zero.
+    Shapes: A_d (m, m), c_d and variances (m,). Only a periodic disturbance needs the sample time [s]. ParameterError:
+    ``kalman.disturbance_frequency`` is out of range, or a variance is zero.
     """
     m = disturbance_states(parameters)
     A_d, c_d, variances = np.eye(m), np.zeros(m), np.zeros(m)
@@ -278,20 +256,8 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
 def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: float | None = None):
     """Return the gain in the chosen form, shape (n + m,) with m states of the disturbance's model.
 
-    Parameters
-    ----------
-    parameters : KalmanParameters
-    model : StateSpace
-        Model with one input and one output, in its own units.
-    sample_time : float, optional
-        Sample time [s]; only a periodic disturbance needs it.
-
-    Raises
-    ------
-    ParameterError
-        ``kalman.form``, ``kalman.L``, ``kalman.q``, ``kalman.Q``, ``kalman.r``, ``kalman.disturbance``, a
-        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: no stable filter follows
-        from it.
+    ``model`` has one input and one output, in its own units; only a periodic disturbance needs the sample time [s]. A
+    ParameterError names the parameter of ``kalman``, or ``model.dynamics.C``, from which no stable filter follows.
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:

@@ -148,21 +148,9 @@ class LearningParameters(Parameters):
 
 
 def period_samples(period: float, sample_rate: float, name: str = "learning.period") -> int:
-    """Return a period in samples.
+    """Return a period [s] in samples.
 
-    Parameters
-    ----------
-    period : float
-        [s]
-    sample_rate : float
-        [Hz]
-    name : str
-        Name of the parameter, for the message.
-
-    Raises
-    ------
-    ParameterError
-        The period is not a whole number of samples, too short, or too long.
+    A ParameterError about the parameter ``name``: the period is not a whole number of samples, too short, or too long.
     """
     samples = period * sample_rate
     count = round(samples)
@@ -230,20 +218,7 @@ class Learned:
 
 
 def write_learned(path, learned: Learned, configuration: str = "") -> None:
-    """Write a learned correction; an existing file is replaced atomically.
-
-    Parameters
-    ----------
-    path : path-like
-    learned : Learned
-    configuration : str
-        Name of the configuration of the axis.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
+    """Write a learned correction of the axis of a named configuration; an existing file is replaced atomically."""
     values = {
         KIND: {
             "configuration": configuration,
@@ -265,13 +240,7 @@ def write_learned(path, learned: Learned, configuration: str = "") -> None:
 
 
 def read_learned(path) -> Learned:
-    """Read a learned correction.
-
-    Raises
-    ------
-    ParameterError
-        The file is missing, or is not a learned correction.
-    """
+    """Read a learned correction; ParameterError: the file is missing, or is not a learned correction."""
 
     def refused(text):
         return ParameterError([Problem("learning.file", str(path), text)])
@@ -438,13 +407,8 @@ def file_stays(p, x, reference):
 def learned_correction(p, x, reference, error):
     """Return the correction of the reference [m] in this sample.
 
-    Parameters
-    ----------
-    p, x : ndarray
-    reference : float
-        Reference of this sample, without correction [m].
-    error : float
-        Reference minus measured displacement of this sample [m]; NaN: not usable for learning.
+    ``reference`` is without correction [m]; ``error`` is reference minus measured displacement [m], NaN: not usable for
+    learning.
     """
     period = int(p[PERIOD])
     length = (x.shape[0] - RINGS) // 3

@@ -43,10 +43,7 @@ def at_rest(parameters):
 def linearise(controller) -> StateSpace:
     """Return the state space of a controller block close to rest, inputs (reference, measured), output command, SI.
 
-    Parameters
-    ----------
-    controller : Controller
-        Built from parameters of :func:`at_rest`; its state is not changed.
+    The block was built from parameters of :func:`at_rest`; its state is not changed.
     """
     kernel, p = controller.kernel, controller.p
     rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
@@ -85,10 +82,7 @@ def _connected(system: StateSpace) -> StateSpace:
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
     """Return the controller and its model as linear systems close to rest; damping is part of the model.
 
-    Raises
-    ------
-    ParameterError
-        No controller can be built from the parameters.
+    ParameterError: no controller can be built from the parameters.
     """
     own = parameters.before_damping(sample_time)
     resting = at_rest(own).validated()
@@ -99,10 +93,7 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
 def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
     """Return controller and damping as one system, and the undamped model, for studies of a changed plant.
 
-    Raises
-    ------
-    ParameterError
-        No controller can be built from the parameters.
+    ParameterError: no controller can be built from the parameters.
     """
     controller, plant = linear_loop(parameters, sample_time)
     if parameters.damping.source == NOTHING:

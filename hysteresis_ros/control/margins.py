@@ -45,12 +45,7 @@ def with_acting(dynamics, plant: StateSpace) -> StateSpace:
     """Return a plant with its quasi-static displacement as second output.
 
     The second output has gain and delay only, without poles and zeros. The force in the stack is a sum of both outputs.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    plant : StateSpace
-        Plant without feedthrough; the states of ``dynamics`` come first.
+    The plant has no feedthrough, and its first states are those of ``dynamics``.
     """
     row, through = dynamics.acting
     n = plant.order
@@ -98,23 +93,14 @@ def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
 
 
 def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return L at the points ``z``, complex, shape (N,).
-
-    Parameters
-    ----------
-    controller, plant : StateSpace
-        Systems of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
-    z : array_like, shape (N,)
-    """
+    """Return L at the points ``z``, shape (N,), of a loop of :func:`.linear_loop`."""
     return np.sum(loop_parts(controller, plant, z), axis=1)
 
 
 def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return the part of L through each measured signal: displacement, and quasi-static displacement if force is used.
+    """Return the part of L through each measured signal, shape (N, q).
 
-    Returns
-    -------
-    ndarray of complex, shape (N, q)
+    The signals are the displacement, and the quasi-static displacement if force is used.
     """
     return _parts(controller.response(z), plant.response(z))
 
@@ -356,14 +342,8 @@ def _noise_gain(angles, size) -> float:
 def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) -> Margins:
     """Return margins, bandwidth and poles of a linear loop.
 
-    Parameters
-    ----------
-    controller : StateSpace
-        Inputs (reference, measured), output command.
-    plant : StateSpace
-        From command to measured displacement.
-    sample_time : float
-        Sample time [s].
+    ``controller`` has the inputs (reference, measured) and the output command, ``plant`` leads from command to measured
+    displacement. Units: ``sample_time`` [s].
     """
     poles = close(controller, plant).poles
     poles = poles[np.argsort(-np.abs(poles))]
@@ -628,20 +608,11 @@ def loop_of(
 ) -> MeasuredLoop:
     """Return the loop of a known controller and a measured plant.
 
-    Parameters
-    ----------
-    controller : StateSpace
-        Inputs (reference, measured), with force damping also the quasi-static displacement; output command.
-    frequency : ndarray, shape (F,)
-        [Hz]
-    plant : ndarray of complex, shape (F,)
-        Response from command to measured displacement, sampled at the same instants.
-    radius : ndarray, shape (F,)
-        Radius of the circles around it.
-    sample_time : float
-        [s]
-    model : StateSpace, optional
-        From command to the controller's inputs other than the reference; needed if there is more than one such input.
+    ``controller`` has the inputs (reference, measured), with force damping also the quasi-static displacement, and the
+    output command. ``plant``, shape (F,), is the response from command to measured displacement, sampled at the same
+    instants, at ``frequency`` [Hz]; ``radius``, shape (F,), are the radii of the circles around it. ``model`` leads
+    from command to the controller's inputs other than the reference; it is needed if there is more than one such input.
+    Units: ``sample_time`` [s].
     """
     z = np.exp(2j * np.pi * frequency * sample_time)
     feedback = -controller.response(z)[:, 0, 1]

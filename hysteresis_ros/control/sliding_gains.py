@@ -49,16 +49,10 @@ STEPS = (2.0, 1.0, 0.5)
 
 
 def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
-    """Return the filter for a disturbance that changes by about ``size`` per sample; noise ratios are fixed.
+    """Return the filter for a disturbance that changes by about ``size`` [input unit] per sample.
 
-    Parameters
-    ----------
-    given : KalmanParameters
-        Parameters whose form, measurement noise and disturbance frequency are kept.
-    disturbance : str
-        Kind of the disturbance.
-    size : float
-        [input unit]
+    Noise ratios are fixed. Form, measurement noise and disturbance frequency are those of ``given``; ``disturbance`` is
+    the kind.
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {

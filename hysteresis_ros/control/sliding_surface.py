@@ -138,18 +138,9 @@ class SlidingModeDesign:
 
 
 def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) -> SlidingModeDesign:
-    """Return hyperplane and linear gain for a model.
+    """Return hyperplane and linear gain for a model with one input and one output, in its own units.
 
-    Parameters
-    ----------
-    parameters : SlidingModeParameters
-    model : StateSpace
-        Model with one input and one output, in its own units.
-
-    Raises
-    ------
-    ParameterError
-        No controller is stable; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
+    ParameterError: no controller is stable; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
     """
     whole = model
     if parameters.tracking == "integral":
@@ -323,22 +314,8 @@ def leave(p, x, s, command):
 def pack_surface(parameters, sample_time: float | None):
     """Return the design and the parameter array (head, K, S, Kalman filter); results are stored for later calls.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float or None
-        Sample time [s]; only a periodic disturbance needs it.
-
-    Returns
-    -------
-    gains : SlidingModeDesign
-    packed : ndarray
-        Read only; the entries from ``OWN`` are zero.
-
-    Raises
-    ------
-    ParameterError
-        The design fails; names are relative to the controller's parameters.
+    The array is read only; its entries from ``OWN`` are zero. Only a periodic disturbance needs the sample time [s].
+    ParameterError: the design fails; names are relative to the controller's parameters.
     """
     dynamics, sliding_mode, kalman = parameters.model.dynamics, parameters.sliding_mode, parameters.kalman
     if not dynamics.order:
@@ -386,13 +363,7 @@ def pack_surface(parameters, sample_time: float | None):
 
 
 def require_target(parameters) -> None:
-    """Refuse integral tracking for a law that already integrates.
-
-    Raises
-    ------
-    ParameterError
-        ``sliding_mode.tracking``.
-    """
+    """Raise ParameterError about ``sliding_mode.tracking``: integral tracking for a law that already integrates."""
     if parameters.sliding_mode.tracking == "integral":
         state_feedback.refuse(
             "sliding_mode.tracking",
@@ -404,10 +375,7 @@ def require_target(parameters) -> None:
 def check_with(packed):
     """Return the check of a sliding mode controller, which designs it by ``packed(parameters, sample_time)``.
 
-    Parameters
-    ----------
-    packed : callable
-        Raises ParameterError where the design fails.
+    ``packed`` raises ParameterError where the design fails.
     """
 
     def check(parameters, sample_time: float | None) -> None:

@@ -348,10 +348,7 @@ def _riccati(A, B, Q, R, name, value):
 def square_weight(values, n: int, name: str):
     """Return an (n, n) weight from n diagonal entries or n² entries in rows.
 
-    Raises
-    ------
-    ParameterError
-        ``name``: wrong number of entries, not symmetric or not positive semidefinite.
+    ParameterError about ``name``: wrong number of entries, not symmetric or not positive semidefinite.
     """
     if len(values) == n and n != 1:
         weight = np.diag(np.array(values, dtype=float))

@@ -130,22 +130,12 @@ def judge_worst(
     *,
     with_bandwidth: bool = True,
 ) -> Judged:
-    """Return the bandwidth on the first plant, and the worst of all other figures on all plants.
+    """Return the bandwidth on the first plant, the model, and the worst of all other figures on all plants.
 
     The delay margin counts from the delay of the model, so an additional delay of a plant is included in it.
-
-    Parameters
-    ----------
-    controller : StateSpace
-        Inputs (reference, measured), output command.
-    plants : sequence of PossiblePlant
-        The model first.
-    sample_time : float
-        [s]
-    required : Requirements, optional
-        If given, the evaluation ends at the first plant that does not meet them.
-    with_bandwidth : bool
-        Whether to search for the bandwidth; NaN otherwise.
+    ``controller`` has the inputs (reference, measured) and the output command. If ``required`` is given, the evaluation
+    ends at the first plant that does not meet it. Without ``with_bandwidth`` the bandwidth is NaN. Units:
+    ``sample_time`` [s].
     """
     found: list[Judged] = []
     for one in plants:
@@ -170,19 +160,8 @@ def judge_worst(
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     """Return the parameters that change when all times of dynamics grow by a factor: poles z^(1/slowness), and delay.
 
-    The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        Discrete dynamics.
-    slowness : float
-        Factor on every time constant and period.
-
-    Returns
-    -------
-    dict
-        ``A`` and ``B`` as lists if there are matrices, ``delay`` if there is one.
+    The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too. The
+    result has ``A`` and ``B`` as lists if there are matrices, and ``delay`` if there is one.
     """
     delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
     model = dynamics.matrices
@@ -211,18 +190,8 @@ def possible_plant(
 ) -> PossiblePlant:
     """Return a plant whose gain, times and delay differ from the model's.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        The model.
-    sample_time : float
-        [s]
-    gain, slowness : float
-        Factors on the gain and on all times.
-    late : float
-        Additional delay [samples].
-    acting : bool
-        Whether to add the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
+    ``gain`` and ``slowness`` are factors on the gain and on all times; ``acting`` adds the second output of
+    :func:`~hysteresis_ros.control.margins.with_acting`. Units: ``sample_time`` [s], ``late`` [samples].
     """
     changed = slowed(dynamics, slowness) if slowness != 1.0 else {}
     matrices: dict[str, Any] = {name: tuple(changed[name]) for name in ("A", "B") if name in changed}
@@ -236,22 +205,10 @@ def possible_plant(
 def drawn_plants(
     dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the model, the corners of its uncertainty, and plants drawn evenly within it.
+    """Return the model, the 8 corners of its uncertainty, and ``draws`` plants drawn evenly within it.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        The model.
-    sample_time : float
-        [s]
-    uncertainty : Uncertainty
-    acting : bool
-        Whether to add the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
-
-    Returns
-    -------
-    tuple of PossiblePlant
-        1 + 8 + ``draws`` plants, the model first.
+    ``acting`` adds the second output of :func:`~hysteresis_ros.control.margins.with_acting`. Units: ``sample_time``
+    [s].
     """
     found = [PossiblePlant(plant_state_space(dynamics, acting=acting))]
     largest = (1.0 + uncertainty.gain) * (1.0 + uncertainty.hysteresis)
@@ -440,14 +397,9 @@ class ResponseUncertainty:
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:
-    """Return an integrator whose loop with a plant of gain 1 has its crossover at a frequency [Hz].
+    """Return an integrator whose loop with a plant of gain 1 has its crossover at a frequency.
 
-    Parameters
-    ----------
-    crossover : float
-        [Hz]
-    sample_time : float
-        [s]
+    Units: ``crossover`` [Hz], ``sample_time`` [s].
     """
     gain = 2.0 * np.pi * crossover * sample_time
     both = np.array([[gain, -gain]])
@@ -457,13 +409,7 @@ def integral_controller(crossover: float, sample_time: float) -> StateSpace:
 def fastest_integral(plant: StateSpace, sample_time: float, uncertainty: ResponseUncertainty) -> float:
     """Return the highest crossover [Hz] of integral control with M_s ≤ 2 and guaranteed stability, or 0.
 
-    Parameters
-    ----------
-    plant : StateSpace
-        The model, with unit DC gain.
-    sample_time : float
-        [s]
-    uncertainty : ResponseUncertainty
+    ``plant`` is the model, with unit DC gain. Units: ``sample_time`` [s].
     """
     fastest = 0.0
     for crossover in 0.25 / sample_time * 10.0 ** np.linspace(-DECADES, 0.0, STEPS):

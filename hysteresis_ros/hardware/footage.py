@@ -49,17 +49,8 @@ class Scale(NamedTuple):
 def scale_of_motion(pixels, displacements) -> Scale:
     """Return the scale of a known motion.
 
-    Parameters
-    ----------
-    pixels : array_like, shape (N,)
-        Positions [px]; NaN for a refused frame.
-    displacements : array_like, shape (N,)
-        [m]
-
-    Raises
-    ------
-    FrameError
-        There are too few positions, or their motion is too small.
+    Units: ``pixels`` [px], NaN for a refused frame; ``displacements`` [m]; both of shape (N,). FrameError: there are
+    too few positions, or their motion is too small.
     """
     pixels, displacements = np.asarray(pixels, dtype=float), np.asarray(displacements, dtype=float)
     if pixels.shape != displacements.shape:
@@ -86,21 +77,10 @@ def scale_of_motion(pixels, displacements) -> Scale:
 
 
 def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, largest_blur: float) -> Scale:
-    """Return the scale of a frame that shows two parallel edges of a known distance.
+    """Return the scale of a frame that shows two parallel edges of a known distance ``size`` [m].
 
-    Parameters
-    ----------
-    grey : ndarray, shape (rows, columns)
-        Grey levels, 0 to 255; the edges cross the rows.
-    size : float
-        Distance of the edges [m].
-    smallest_contrast, largest_blur : float
-        Requirements for an edge, see :func:`hysteresis_ros.hardware.tracker.find_edge`.
-
-    Raises
-    ------
-    FrameError
-        There are no two edges.
+    The edges cross the rows of ``grey``, grey levels of 0 to 255. ``smallest_contrast`` and ``largest_blur`` are as in
+    :func:`hysteresis_ros.hardware.tracker.find_edge`. FrameError: there are no two edges.
     """
     strongest = find_edge(grey, smallest_contrast, largest_blur)
     if strongest.refusal:

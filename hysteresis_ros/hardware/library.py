@@ -46,18 +46,10 @@ FOLDERS = "HYSTERESIS_DRIVERS"
 
 
 def require_trusted(path: pathlib.Path) -> pathlib.Path:
-    """Return the real path of a file, if no other user can change it.
+    """Return the real path of an existing file, if no other user can change it.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Path of an existing file.
-
-    Raises
-    ------
-    DriverError
-        Other users can change it or a folder on its path, or it is outside the folders of ``HYSTERESIS_DRIVERS``; the
-        message names the place, the user, and the remedy.
+    DriverError: other users can change it or a folder on its path, or it is outside the folders of
+    ``HYSTERESIS_DRIVERS``; the message names the place, the user, and the remedy.
     """
     name = f"driver {path}"
     real = path.resolve()
@@ -384,28 +376,12 @@ class SharedLibrary(Driver):
 
 
 def nonsense(name: str) -> DriverError:
-    """Return the error of a device whose position is not a number.
-
-    Parameters
-    ----------
-    name : str
-        Name of the device.
-    """
+    """Return the error of the device ``name``, whose position is not a number."""
     return DriverError(f"{name}:", "returns a position that is not a number", "check the sensor and its scaling")
 
 
 def library_driver(path: pathlib.Path) -> HardwareDriver:
-    """Return the driver in a shared library; it is opened with ``driver_options``.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-
-    Raises
-    ------
-    DriverError
-        It is not a driver.
-    """
+    """Return the driver in a shared library, to be opened with ``driver_options``; DriverError: it is not a driver."""
     loaded(path)
     driver = type("SharedLibrary", (SharedLibrary,), {"path": path})
     return HardwareDriver(name=str(path), title="a shared library", parameters=LibraryParameters, driver=driver)

@@ -47,17 +47,9 @@ class _FromSource(importlib.machinery.SourceFileLoader):
 
 
 def driver_of(name: str) -> HardwareDriver:
-    """Return the driver that a parameter file names.
+    """Return the driver that a parameter file names, in the registry or by a path that contains a slash.
 
-    Parameters
-    ----------
-    name : str
-        Name in the registry, or a path that contains a slash.
-
-    Raises
-    ------
-    DriverError
-        The driver does not exist, or the file is not a driver.
+    DriverError: the driver does not exist, or the file is not a driver.
     """
     if name in DRIVERS:
         return DRIVERS[name]
@@ -104,19 +96,9 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
 
 
 def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters:
-    """Return the parameters given by the options of a parameter file.
+    """Return the parameters given by the options ``NAME=VALUE`` of a parameter file, for a driver given by a path.
 
-    Parameters
-    ----------
-    declared : HardwareDriver
-        Driver given by a path: its parameters are not in the table of parameters.
-    options : tuple of str
-        ``NAME=VALUE`` each.
-
-    Raises
-    ------
-    ParameterError
-        An option has another form, or the driver does not accept it.
+    ParameterError: an option has another form, or the driver does not accept it.
     """
     if declared.parameters is LibraryParameters:
         return LibraryParameters(options)

@@ -162,14 +162,8 @@ def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) ->
 def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -> Place:
     """Return the position of the strongest edge across the rows of a frame, at the middle row.
 
-    Parameters
-    ----------
-    grey : ndarray, shape (rows, columns)
-        Grey levels, 0 to 255.
-    smallest_contrast : float
-        Required difference of grey levels between the sides of the edge.
-    largest_blur : float
-        Largest allowed standard deviation of the blur [px].
+    ``grey`` has levels of 0 to 255, shape (rows, columns). ``smallest_contrast`` is the required difference of grey
+    levels between the sides of the edge, ``largest_blur`` the largest standard deviation of the blur [px].
     """
     half = math.ceil(3.0 * largest_blur) + PLATEAU
     if grey.shape[1] < 2 * half + 2 or grey.shape[0] < 2 * BLOCK:

@@ -202,12 +202,9 @@ def path_bandwidths(parameters: StageParameters) -> np.ndarray:
 
 
 def check_scan(parameters: StageParameters) -> None:
-    """Refuse a scan for which any controller would need commands beyond the range of the actuators.
+    """Raise ParameterError for a scan for which any controller would need commands beyond the range of the actuators.
 
-    Raises
-    ------
-    ParameterError
-        The message states the actuator, the excess, and the highest frame rate within its range.
+    The message states the actuator, the excess, and the highest frame rate within its range.
     """
     scan = parameters.scan
     if scan is None:

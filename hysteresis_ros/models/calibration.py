@@ -169,15 +169,9 @@ class CalibrationParameters(Parameters):
 
 
 def rising_problems(coefficients: tuple[float, ...], low: float, high: float, unit: str) -> Iterator[Problem]:
-    """Yield a Problem unless a polynomial rises everywhere from ``low`` to ``high``.
+    """Yield a Problem unless a polynomial rises everywhere from ``low`` to ``high`` [unit].
 
-    Parameters
-    ----------
-    coefficients : tuple of float
-        Coefficients, the constant first; empty: the polynomial is the value itself.
-    low, high : float
-        Range of the value [unit].
-    unit : str
+    The constant is the first coefficient; without coefficients the polynomial is the value itself.
     """
     if not coefficients:
         return
@@ -339,17 +333,7 @@ class AmplifierCalibration:
     def require_range(self, low: float, high: float, prefix: str) -> None:
         """Raise ParameterError unless the polynomial rises between these voltages [V].
 
-        Parameters
-        ----------
-        low, high : float
-            [V]
-        prefix : str
-            Prefix of the name of the parameter.
-
-        Raises
-        ------
-        ParameterError
-            The polynomial does not rise: one value would belong to several voltages.
+        Otherwise one value would belong to several voltages. ``prefix`` is that of the name of the parameter.
         """
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))

@@ -329,15 +329,7 @@ def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
 
 
 def reachable_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] that the compensator can reach at rest.
-
-    Parameters
-    ----------
-    compensator : CompensatorParameters
-        Model, inverse and limits.
-    sample_time : float
-        Sample time [s].
-    """
+    """Return the smallest and largest displacement [m] that the compensator can reach at rest; ``sample_time`` [s]."""
     linear = compensator.inverse.type == "none"
     return _reached(compensator.hysteresis, compensator.limits, sample_time, linear)
 
@@ -346,16 +338,8 @@ def commandable(compensator: CompensatorParameters, sample_time: float, *amplifi
     """Return the smallest and largest useful command [m] of the compensator.
 
     They lie one stroke beyond its range on either side, because fast steps and inverse dynamics briefly need more than
-    the range. Beyond them the voltage no longer changes.
-
-    Parameters
-    ----------
-    compensator : CompensatorParameters
-        Model, inverse and limits.
-    sample_time : float
-        Sample time [s].
-    *amplifiers : LimitsParameters
-        Limits to which a user may widen those of the compensator while the axis runs.
+    the range. Beyond them the voltage no longer changes. ``amplifiers`` are limits to which a user may widen those of
+    the compensator while the axis runs. Units: ``sample_time`` [s].
     """
     ranges = compensator.limits, *amplifiers
     widest = LimitsParameters(

@@ -310,10 +310,7 @@ DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
 def require_structure(present, wanted) -> None:
     """Raise ParameterError when the structure of parameters (sizes of arrays) differs from the present one.
 
-    Parameters
-    ----------
-    present, wanted : Parameters
-        Parameters of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
+    Both are of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
     """
     before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
     problems = [

@@ -160,13 +160,7 @@ class InchwormPlantParameters(ActuatorParameters):
 
 
 def seed_problems(parameters):
-    """Yield a Problem for each noisy sensor with the seed of another noisy sensor, because their noise would be equal.
-
-    Parameters
-    ----------
-    parameters : InchwormPlantParameters
-        Parameters with ``sensor`` and ``inchworm``.
-    """
+    """Yield a Problem for each noisy sensor with the seed of another one, because their noise would be equal."""
     motor = parameters.inchworm
     sensors = {
         "sensor": parameters.sensor,

@@ -267,12 +267,8 @@ class InverseParameters(Parameters):
     def packed(self, gain: float, lowest: float, highest: float) -> np.ndarray:
         """Return the array p_i of the inverses that use a model's state, shape (5,).
 
-        Parameters
-        ----------
-        gain : float
-            Nominal gain of the model [m/V].
-        lowest, highest : float
-            Search range of ``general`` [V].
+        ``gain`` is the nominal gain of the model [m/V]; ``lowest`` and ``highest`` are the search range of ``general``
+        [V].
         """
         return np.array([self.picard_steps, self.picard_rate or 1.0 / gain, gain, lowest, highest])
 

@@ -177,12 +177,7 @@ STATE = 1
 
 
 def zero_order_hold(A, B, sample_time: float):
-    """Return the discrete (A, B) of continuous ``x' = A x + B u`` whose input is held over ``sample_time`` [s].
-
-    Returns
-    -------
-    tuple of ndarray, shapes (n, n) and (n, m)
-    """
+    """Return the discrete (A, B) of continuous ``x' = A x + B u`` whose input is held over ``sample_time`` [s]."""
     A, B = np.atleast_2d(np.asarray(A, dtype=float)), np.asarray(B, dtype=float)
     B = B.reshape(len(A), -1)
     n, m = B.shape
@@ -285,20 +280,7 @@ class LinearParameters(Parameters):
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Refuse a sample time that differs from the one stated for the matrices.
-
-        Parameters
-        ----------
-        sample_time : float
-            Sample time of the axis [s].
-        name : str
-            Full name of the parameter, for the message.
-
-        Raises
-        ------
-        ParameterError
-            The matrices are for another sample time.
-        """
+        """Raise ParameterError about ``name`` for a sample time [s] other than the one stated for the matrices."""
         if not self.order or not self.sample_time:
             return
         if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:

@@ -197,12 +197,7 @@ class ForceParameters(Parameters):
         return self.stack_stiffness + self.flexure_stiffness
 
     def require_same(self, present: ForceParameters) -> None:
-        """Refuse to add or remove the sensor while running.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """Raise ParameterError to add or remove the sensor while running."""
         if self.there != present.there:
             remedy = f"must stay {'above' if present.there else 'at'} 0 while running: clean up and configure again"
             raise ParameterError([Problem("force_sensor.stack_stiffness", self.stack_stiffness, remedy)])
@@ -243,13 +238,7 @@ def force_reading(p, x, displacement):
 def pack_force(parameters: ForceSensorParameters, dynamics: LinearParameters, sample_time: float) -> np.ndarray:
     """Return the parameter array of a force sensor; empty if there is no sensor.
 
-    Parameters
-    ----------
-    parameters : ForceSensorParameters
-    dynamics : LinearParameters
-        Dynamics between hysteresis and displacement.
-    sample_time : float
-        [s]
+    ``dynamics`` are those between hysteresis and displacement. Units: ``sample_time`` [s].
     """
     if not parameters.there:
         return np.zeros(0)
@@ -269,16 +258,9 @@ def force_state(parameters: ForceSensorParameters) -> np.ndarray:
 
 
 def settle_force(p: np.ndarray, x: np.ndarray, acting: float, displacement: float) -> None:
-    """Set a force sensor to its steady state.
+    """Set the arrays of a force sensor to its steady state, in place.
 
-    Parameters
-    ----------
-    p, x : ndarray
-        Changed in place.
-    acting : float
-        Displacement d that acts on the dynamics [m].
-    displacement : float
-        Steady-state displacement of the dynamics [m].
+    ``acting`` is the displacement d that acts on the dynamics, ``displacement`` their steady-state displacement [m].
     """
     if p.size:
         x[ACTING] = acting

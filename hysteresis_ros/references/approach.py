@@ -322,19 +322,8 @@ class ShapingParameters(Parameters):
 def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.ndarray:
     """Return the filter of ZV, shape (m + 2,); only the first and the last two weights are not 0.
 
-    Parameters
-    ----------
-    frequency : float
-        [Hz]
-    damping : float
-        Below 1.
-    sample_time : float
-        [s]
-
-    Raises
-    ------
-    ParameterError
-        ``shaping.frequency``: not below half the sample rate, or too low for the stored positions.
+    Units: ``frequency`` [Hz], ``sample_time`` [s]; the damping is below 1. ParameterError about ``shaping.frequency``:
+    not below half the sample rate, or too low for the stored positions.
     """
     omega = 2.0 * math.pi * frequency * math.sqrt(1.0 - damping * damping)
     half = math.pi / (omega * sample_time)

@@ -422,11 +422,7 @@ class WalkParameters(Parameters):
 def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
     """Return the phases at which the processes of a cycle end, shape (8,), in the order of the layout.
 
-    Parameters
-    ----------
-    gait : GaitParameters
-    direction : int
-        1 forward (carrying extends), −1 backward.
+    ``direction`` is 1 forward (carrying extends), −1 backward.
     """
     carrying, returning = (gait.extend, gait.contract)[::direction]
     durations = (0.5 * returning, gait.settle, gait.grip, gait.release, carrying, gait.settle, gait.grip, gait.release)

@@ -88,33 +88,17 @@ class LearnedWalk(NamedTuple):
 
 
 def write_walk(path, learned: LearnedWalk) -> None:
-    """Write a learned walk; an existing file is replaced atomically.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
+    """Write a learned walk; an existing file is replaced atomically."""
     values = {"step": learned.step, "forward": learned.forward.tolist(), "backward": learned.backward.tolist()}
     text = _HEADER + yaml.safe_dump({KIND: values}, sort_keys=False, default_flow_style=None, width=118)
     write_text(pathlib.Path(path).expanduser(), text, ConfigurationError)
 
 
 def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
-    """Read a learned walk.
+    """Read a learned walk with ``splines`` coefficients.
 
-    Parameters
-    ----------
-    path : path-like
-    splines : int
-        Required number of coefficients.
-    step, bound : float
-        Length of a cycle and largest coefficient that the parameters state [m].
-
-    Raises
-    ------
-    ParameterError
-        The file is missing, is not a learned walk, or does not fit.
+    ``step`` and ``bound`` are the length of a cycle and the largest coefficient that the parameters state [m].
+    ParameterError: the file is missing, is not a learned walk, or does not fit.
     """
 
     def refused(text):

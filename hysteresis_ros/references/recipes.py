@@ -63,16 +63,9 @@ def hold(level: float, seconds: float, rate: float) -> np.ndarray:
 
 
 def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
-    """Return samples with transitions before the first and after the last one.
+    """Return samples [V] or [m], shape (N,), with transitions from and to the value ``safe`` at their ends.
 
-    Parameters
-    ----------
-    middle : ndarray, shape (N,)
-        [V] or [m]
-    safe : float
-        Value at the beginning and at the end.
-    rate : float
-        [Hz]
+    Units: ``rate`` [Hz].
     """
     parts = [hold(safe, REST, rate), way(safe, middle[0], WAY, rate), middle, way(middle[-1], safe, WAY, rate)]
     return np.concatenate([*parts, hold(safe, REST, rate)])
@@ -287,14 +280,7 @@ def recipe(
 
 
 def in_metres(excitation: Excitation, gain: float) -> dict:
-    """Return the waveform's parameters in SI for an axis whose voltage is reference / ``gain``.
-
-    Parameters
-    ----------
-    excitation : Excitation
-    gain : float
-        Gain of the compensator without inverse [m/V].
-    """
+    """Return the waveform's parameters in SI for an axis whose voltage is reference / ``gain`` [m/V]."""
     lengths = {row.name for row in WaveformParameters.table() if row.unit == "m"}
     scaled = {}
     for name, value in excitation.waveform.items():
@@ -390,19 +376,9 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
 def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> Any:
     """Return the value of a parameter's text, in the type of the parameter.
 
-    Parameters
-    ----------
-    row : ParameterRow
-        Row of the parameter.
-    text : str
-        A number with its unit or in SI, several separated by commas for an array, a choice, or a path.
-    gain : float, optional
-        Gain of an axis in open loop without inverse [m/V]; lengths may then be given as voltages.
-
-    Raises
-    ------
-    ValueError
-        The text is not a value of the parameter; the message states what is allowed.
+    The text is a number with its unit or in SI, several separated by commas for an array, a choice, or a path. With
+    ``gain``, that of an axis in open loop without inverse [m/V], lengths may be given as voltages. ValueError: the text
+    is not a value of the parameter; the message states what is allowed.
     """
     if row.type is str:
         # absolute, because nodes may run in another folder
@@ -450,23 +426,10 @@ OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
 
 def write_samples(path, reference, sample_rate: float, **further) -> str:
-    """Write a reference for a waveform of type ``file``, and return the absolute path of the file.
+    """Write a reference [m], shape (N,), for a waveform of type ``file``; return the path of the ``.npz`` file.
 
-    Parameters
-    ----------
-    path : path-like
-        An ``.npz`` file; its folder is created.
-    reference : ndarray, shape (N,)
-        [m]
-    sample_rate : float
-        [Hz]
-    **further
-        Further arrays of the file.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
+    The path is absolute, and its folder is created; ``further`` are further arrays of the file. Units: ``sample_rate``
+    [Hz]. ConfigurationError: the file cannot be written.
     """
     path = pathlib.Path(path).resolve()
     try:

@@ -549,18 +549,10 @@ def largest_frame_rate(scan: Scan, limits: ScanLimits) -> float:
 
 
 def check_limits(scan: Scan, limits: ScanLimits) -> None:
-    """Refuse a scan that its axes cannot follow.
+    """Raise ParameterError for a scan that its axes cannot follow.
 
-    Parameters
-    ----------
-    scan : Scan
-    limits : ScanLimits
-
-    Raises
-    ------
-    ParameterError
-        An axis leaves its range or exceeds a limit. The message names each such axis, by how much, and the allowed
-        frame rate.
+    An axis leaves its range or exceeds a limit. The message names each such axis, by how much, and the allowed frame
+    rate.
     """
     found = [*_beyond_range(scan, limits)]
     best = largest_frame_rate(scan, limits)
@@ -611,14 +603,7 @@ def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
 
 
 def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number rounded down, so that the printed number is allowed.
-
-    Parameters
-    ----------
-    value : float
-    digits : int, optional
-        Number of significant digits.
-    """
+    """Return a positive number rounded down to significant digits, so that the printed number is allowed."""
     if not 0.0 < value < math.inf:
         return value
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
@@ -626,18 +611,7 @@ def rounded_down(value: float, digits: int = 4) -> float:
 
 
 def frame_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return the beginnings of frames within a recording.
-
-    Parameters
-    ----------
-    scan : Scan
-    time : ndarray, shape (N,)
-        Instants of the samples since the scan began, increasing [s].
-
-    Returns
-    -------
-    Marks
-    """
+    """Return the beginnings of frames within a recording; ``time`` [s] counts from the beginning of the scan."""
     first, last = _whole(time[0] * scan.rate, time[-1] * scan.rate, 1)
     frame = np.arange(first, last)
     nothing = np.full(frame.size, -1)
@@ -662,18 +636,7 @@ def line_marks(scan: Scan, time: np.ndarray) -> Marks:
 
 
 def pixel_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return the beginnings of pixels within a recording.
-
-    Parameters
-    ----------
-    scan : Scan
-    time : ndarray, shape (N,)
-        Instants of the samples since the scan began, increasing [s].
-
-    Returns
-    -------
-    Marks
-    """
+    """Return the beginnings of pixels within a recording; ``time`` [s] counts from the beginning of the scan."""
     begin, duration, line, direction = _passes_within(scan, time)
     number = np.tile(np.arange(scan.pixels), begin.size)
     frames = np.repeat(begin, scan.pixels) + number / scan.pixels * np.repeat(duration, scan.pixels)

@@ -34,12 +34,9 @@ _MARKS = {Edge.FRAME: frame_marks, Edge.LINE: line_marks, Edge.PIXEL: pixel_mark
 
 
 def samples_of_period(period: float, sample_time: float) -> Fraction:
-    """Return the period of a path [s] in samples, as the nearest fraction that is whole within 1000 periods.
+    """Return the period of a path in samples, as the nearest fraction that is whole within 1000 periods.
 
-    Parameters
-    ----------
-    period, sample_time : float
-        [s]
+    Units: ``period``, ``sample_time`` [s].
     """
     return Fraction(period / sample_time).limit_denominator(MOST_PERIODS)
 
@@ -47,11 +44,7 @@ def samples_of_period(period: float, sample_time: float) -> Fraction:
 def end_of(periods: int, period: float, sample_time: float) -> int:
     """Return the first sample after a number of periods of a path; 0: a path without end.
 
-    Parameters
-    ----------
-    periods : int
-    period, sample_time : float
-        [s]
+    Units: ``period``, ``sample_time`` [s].
     """
     return math.ceil(periods * period / sample_time - WHOLE)
 

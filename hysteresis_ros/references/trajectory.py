@@ -168,15 +168,7 @@ def initial_state(position: float) -> np.ndarray:
 def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample_time: float) -> None:
     """Write a path into the state; it begins with the next sample.
 
-    Parameters
-    ----------
-    x : ndarray
-        State of the trajectory.
-    segments : ndarray, shape (N, WIDTH)
-    points : Points
-        Points of the path.
-    sample_time : float
-        [s]
+    ``segments`` has the shape (N, WIDTH). Units: ``sample_time`` [s].
     """
     x[SEGMENTS : SEGMENTS + segments.size] = segments.ravel()
     x[ACTIVE], x[PENDING], x[AFTER] = FOLLOWING, 1.0, NOWHERE

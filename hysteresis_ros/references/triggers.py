@@ -184,14 +184,7 @@ def longest_path(
 ) -> tuple[float, str]:
     """Return the longest path of the reference in a sample [m] and its cause; 0: not known in advance.
 
-    Parameters
-    ----------
-    waveform : WaveformParameters
-    approach : ApproachParameters
-    span : float
-        Range of the reference [m].
-    sample_time : float
-        [s]
+    Units: ``span`` of the reference [m], ``sample_time`` [s].
     """
     velocity = 0.0 if approach.unlimited else effective_limits(approach, span)[0]
     moves = velocity * sample_time if math.isfinite(velocity) else 0.0
@@ -215,18 +208,9 @@ def trigger_problems(
 ) -> Iterator[Problem]:
     """Yield a Problem for each trigger that an axis cannot make: out of its range, or faster than its samples.
 
-    Parameters
-    ----------
-    given : TriggerParameters
-        Triggers that are consistent in themselves.
-    low, high : float
-        Range of the reference [m].
-    sample_rate : float
-        [Hz]
-    longest : callable
-        Returns the longest path in a sample [m] and its cause; needed for positions.
-    waveform : WaveformParameters, optional
-        None: the axis has no waveforms.
+    ``given`` is consistent in itself; ``low`` and ``high`` are the range of the reference [m]. ``longest()`` returns
+    the longest path in a sample [m] and its cause; it is needed for positions. ``waveform`` is None for an axis without
+    waveforms. Units: ``sample_rate`` [Hz].
     """
     step = 1.0 / sample_rate
     for position in (*given.up, *given.down):
@@ -318,15 +302,8 @@ def trigger_arrays(
 ) -> TriggerArrays:
     """Return the arrays of the triggers of an axis at rest; the caller sets the range of the setpoint.
 
-    Parameters
-    ----------
-    given : TriggerParameters
-    rearm, initial : float
-        Distance that arms a position again, and the setpoint at the beginning [m].
-    sample_time : float
-        [s]
-    clock : ScanClock or None
-        Clock of the scan that the axis follows.
+    ``rearm`` is the distance that arms a position again, ``initial`` the setpoint at the beginning [m], ``clock`` that
+    of the scan that the axis follows, or None. Units: ``sample_time`` [s].
     """
     p, x = np.zeros(8), np.zeros(STATES)
     spacing = math.ceil(1.0 / (given.rate * sample_time) - 1e-9) if given.rate else 1

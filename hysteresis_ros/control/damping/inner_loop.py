@@ -209,23 +209,10 @@ class InnerLoop:
 def inner_loop(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> InnerLoop:
-    """Return the inner loop of the damping for a model.
+    """Return the inner loop of the damping, of a type other than none, for a model.
 
-    Parameters
-    ----------
-    damping : DampingParameters
-        Parameters of a type other than none.
-    dynamics : LinearParameters
-        The model.
-    sample_time : float
-        [s]
-    force : ForceParameters, optional
-        The model of the force in the stack.
-
-    Raises
-    ------
-    ParameterError
-        The filter cannot run at this sample time, or it uses the force, which has no model.
+    ParameterError: the filter cannot run at this sample time [s], or it uses the force and ``force`` has no model of
+    it.
     """
     found, source = damping.filter(sample_time), damping.source
     only_displacement = np.ones((1, 1))
@@ -245,12 +232,7 @@ def inner_loop(
 
 
 def require_force(kind: str, force: ForceParameters | None) -> None:
-    """Refuse damping by the force without a model of the force.
-
-    Raises
-    ------
-    ParameterError
-    """
+    """Raise ParameterError for damping by the force without a model of the force."""
     if force is None or not force.there:
         remedy = (
             f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "

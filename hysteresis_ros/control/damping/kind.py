@@ -102,12 +102,7 @@ class DampingKind:
 def warped(frequency: float, sample_time: float) -> float:
     """Return h [1/s] with which a discrete filter has its continuous-time response at a frequency.
 
-    Parameters
-    ----------
-    frequency : float
-        Below half the sample rate [Hz].
-    sample_time : float
-        [s]
+    Units: ``frequency`` [Hz], below half the sample rate; ``sample_time`` [s].
     """
     angle = math.pi * frequency * sample_time
     return 2.0 * math.pi * frequency * elementary.cos(angle) / elementary.sin(angle)
@@ -154,13 +149,7 @@ def _discrete(coefficients, h: float) -> tuple[float, float, float]:
 
 
 def in_series(systems) -> StateSpace:
-    """Return the series connection of systems; the first one receives the input.
-
-    Parameters
-    ----------
-    systems : sequence of StateSpace
-        Systems with one input and one output; at least one.
-    """
+    """Return the series connection of systems with one input and one output; the first receives the input."""
     found, *others = systems
     for after in others:
         corner = np.zeros((found.order, after.order))
@@ -174,13 +163,7 @@ def in_series(systems) -> StateSpace:
 
 
 def in_parallel(systems) -> StateSpace:
-    """Return the sum of systems.
-
-    Parameters
-    ----------
-    systems : sequence of StateSpace
-        Systems with one input and one output; at least one.
-    """
+    """Return the sum of systems with one input and one output."""
     found, *others = systems
     for beside in others:
         corner = np.zeros((found.order, beside.order))
@@ -194,16 +177,9 @@ def in_parallel(systems) -> StateSpace:
 
 
 def require_filters(parameters, most: int, beside: tuple[str, ...]):
-    """Yield a Problem for no filter, too many filters, or filters with missing numbers.
+    """Yield a Problem for no filter, more than ``most`` filters, or filters with missing numbers.
 
-    Parameters
-    ----------
-    parameters : Parameters
-        Parameters with ``frequencies``.
-    most : int
-        Maximum number of filters.
-    beside : tuple of str
-        Names of arrays with one number per filter.
+    ``beside`` names the arrays with one number per filter, besides ``frequencies``.
     """
     count = len(parameters.frequencies)
     if not 1 <= count <= most:
@@ -216,19 +192,9 @@ def require_filters(parameters, most: int, beside: tuple[str, ...]):
 
 
 def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: float) -> None:
-    """Refuse a filter above half the sample rate.
+    """Raise ParameterError, about ``frequencies``, for a filter at or above half the sample rate.
 
-    Parameters
-    ----------
-    frequencies : tuple of float
-        [Hz]
-    sample_time : float
-        [s]
-
-    Raises
-    ------
-    ParameterError
-        ``frequencies``: one of them is not below half the sample rate.
+    Units: ``frequencies`` [Hz], ``sample_time`` [s].
     """
     highest = 0.5 / sample_time
     if not max(frequencies) < highest:

@@ -108,10 +108,7 @@ def integral_sliding_mode(p, x, reference, measured):
 def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -> np.ndarray:
     """Return the whole parameter array of ControllerParameters (read only).
 
-    Raises
-    ------
-    ParameterError
-        The design fails; names are relative to the controller's parameters.
+    ParameterError: the design fails; names are relative to the controller's parameters.
     """
     require_target(parameters)
     gains, packed = pack_surface(parameters, sample_time)

@@ -261,11 +261,8 @@ class PidParameters(Parameters):
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
     """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of 1.
 
-    Returns
-    -------
-    StateSpace
-        System with the integral and the filtered derivative as states, without those of zero gain, and
-        before them the two low-passes of the roll-off, if any.
+    Its states are the integral and the filtered derivative, without those of zero gain, and before them the two
+    low-passes of the roll-off, if any.
     """
     a = parameters.decay(sample_time)
     slope = parameters.Kd * (1.0 - a) / sample_time
@@ -292,21 +289,10 @@ def _rolled_off(controller: StateSpace, a: float) -> StateSpace:
 
 
 def require_stable_pid(parameters, sample_time: float | None) -> None:
-    """Refuse gains that make the controller's own model unstable.
+    """Raise ParameterError for gains that make the controller's own model unstable.
 
-    Nothing is checked without a model, that is without A and with an input scale other than 0: the gain is unknown
-    then.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float or None
-        Sample time [s]; None: unknown, nothing is checked.
-
-    Raises
-    ------
-    ParameterError
-        ``pid``: the closed loop has a pole on or outside the unit circle.
+    Nothing is checked without a sample time, or without a model, that is without A and with an input scale other than
+    0: the gain is unknown then.
     """
     dynamics, gains = parameters.model.dynamics, parameters.pid
     if sample_time is None:
@@ -408,16 +394,8 @@ STEPS = 60
 def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: float):
     """Return (K_p, K_i, K_d) of a discrete PID with numerator g (z − z₁)(z − z₂), or g (z − z₁) for a PI.
 
-    Parameters
-    ----------
-    zeros : sequence of complex
-        One for a PI, two (real or a conjugate pair) for a PID.
-    gain : float
-        Leading coefficient g.
-    sample_time : float
-        [s]
-    derivative_filter : float
-        N [rad/s].
+    ``zeros`` are one for a PI, two (real or a conjugate pair) for a PID; ``gain`` is g. Units: ``sample_time`` [s],
+    ``derivative_filter`` [rad/s].
     """
     wanted = gain * polynomial(zeros)
     half = 0.5 * sample_time
@@ -539,19 +517,7 @@ def design_pid(
 def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
     """Return the largest gain of a pure integral controller with M_s = 1.4 and the other margins.
 
-    Parameters
-    ----------
-    given : PidParameters
-        Parameters; the design replaces the gains.
-    dynamics : LinearParameters
-        The model.
-    sample_time : float
-        [s]
-
-    Raises
-    ------
-    ParameterError
-        No such gain exists.
+    ParameterError: no such gain exists.
     """
     plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
 

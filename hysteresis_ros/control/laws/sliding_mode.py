@@ -61,10 +61,7 @@ def sliding_mode(p, x, reference, measured):
 def packed_sliding_mode(parameters, sample_time: float | None = None) -> np.ndarray:
     """Return the whole parameter array of ControllerParameters (read only).
 
-    Raises
-    ------
-    ParameterError
-        The design fails; names are relative to the controller's parameters.
+    ParameterError: the design fails; names are relative to the controller's parameters.
     """
     return pack_surface(parameters, sample_time)[1]
 

@@ -156,13 +156,7 @@ class SuperTwistingParameters(Parameters):
 
 
 def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> tuple[float, float]:
-    """Return k1 and k2.
-
-    Raises
-    ------
-    ParameterError
-        ``super_twisting.bound``, ``super_twisting.k1`` or ``super_twisting.k2`` is zero.
-    """
+    """Return k1 and k2; ParameterError if ``super_twisting.bound``, ``k1`` or ``k2`` is zero."""
     for name in ("bound",) if parameters.gains == "from_bound" else ("k1", "k2"):
         if not getattr(parameters, name) > 0.0:
             state_feedback.refuse(f"super_twisting.{name}", getattr(parameters, name), "must be above 0")
@@ -175,10 +169,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
 def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
     """Return the whole parameter array of ControllerParameters (read only), only checked without a sample time.
 
-    Raises
-    ------
-    ParameterError
-        The design fails; names are relative to the controller's parameters.
+    ParameterError: the design fails; names are relative to the controller's parameters.
     """
     require_target(parameters)
     gains, packed = pack_surface(parameters, sample_time)

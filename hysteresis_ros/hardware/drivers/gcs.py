@@ -243,15 +243,7 @@ class GcsLink:
     def ask(self, question: str) -> list[str]:
         """Return the lines of the answer to a query, and check that the answer to ``ERR?`` follows them.
 
-        Parameters
-        ----------
-        question : str
-            Query without line end.
-
-        Raises
-        ------
-        DriverError
-            There is no answer, or a line is missing or unexpected.
+        DriverError: there is no answer, or a line is missing or unexpected.
         """
         self.send(question, ERROR)
         lines = self._lines(question)
@@ -259,17 +251,7 @@ class GcsLink:
         return lines
 
     def ask_single(self, character: str) -> str:
-        """Return the answer to a command of one character.
-
-        Parameters
-        ----------
-        character : str
-
-        Raises
-        ------
-        DriverError
-            There is no answer.
-        """
+        """Return the answer to a command of one character; DriverError without an answer."""
         name = f"#{ord(character)}"
         self._put(character, name)
         return self._line(name).decode("latin-1").rstrip()

@@ -43,19 +43,10 @@ CHANNEL = re.compile(r"(alt)?voltage\d*")
 
 
 def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
-    """Return the folder of a device.
+    """Return the folder of a device in the folder of the devices.
 
-    Parameters
-    ----------
-    directory : pathlib.Path
-        Folder of the devices.
-    wanted : str
-        Content of the device's file ``name``, or the name of its folder.
-
-    Raises
-    ------
-    DriverError
-        The device is absent, or several devices have this name.
+    ``wanted`` is the content of the device's file ``name``, or the name of its folder. DriverError: the device is
+    absent, or several devices have this name.
     """
     names = {}
     for folder in sorted(directory.glob("iio:device*")) if directory.is_dir() else ():
@@ -74,19 +65,10 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
 
 
 def trigger_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
-    """Return the file that fires a software trigger.
+    """Return the file that fires a software trigger, in the folder of the devices.
 
-    Parameters
-    ----------
-    directory : pathlib.Path
-        Folder of the devices.
-    wanted : str
-        Content of the trigger's file ``name``, or the name of its folder.
-
-    Raises
-    ------
-    DriverError
-        The trigger is absent, or it cannot be fired by software.
+    ``wanted`` is the content of the trigger's file ``name``, or the name of its folder. DriverError: the trigger is
+    absent, or it cannot be fired by software.
     """
     names = {}
     for folder in sorted(directory.glob("trigger*")) if directory.is_dir() else ():
@@ -105,20 +87,7 @@ def trigger_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
 
 
 def write_number(path: pathlib.Path, value: int, name: str) -> None:
-    """Write an attribute.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    value : int
-    name : str
-        Name of the device, for messages.
-
-    Raises
-    ------
-    DriverError
-        It cannot be written.
-    """
+    """Write an attribute of the device ``name``; DriverError if it cannot be written."""
     try:
         file = os.open(path, os.O_WRONLY)
         try:

@@ -90,15 +90,10 @@ class HysteresisParameters(Parameters):
 
 
 def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> HysteresisBlock:
-    """Return the block of the chosen model.
+    """Return the block of the chosen model; ParameterError if its type or parameters are wrong.
 
     Besides the attributes of every block it has ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
     ``rate_independent``, ``invertible`` and ``rebase()``.
-
-    Raises
-    ------
-    ParameterError
-        The type or the parameters of the chosen model are wrong.
     """
     parameters = parameters.validated()
     return parameters.model.block(parameters.chosen, sample_time)

@@ -338,20 +338,9 @@ def _virgin_voltage(p, x, displacement):
 def polynomial_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] at which the model's next output is ``displacement`` [m] (K8, exact branch inverse).
 
-    The state ``x_h`` is not changed. Beyond the range of a parabola the voltage of its extremum is returned.
-
-    Parameters
-    ----------
-    hysteresis : kernel
-        Not used: the branches are inverted in closed form.
-    p_i : ndarray
-        Not used.
-    x_i : ndarray, shape (>= 11,)
-        Scratch.
-    p_h, x_h : ndarray
-        Parameters and state of :func:`polynomial`.
-    displacement : float
-        Commanded output [m]; NaN gives the last voltage.
+    ``p_h`` and ``x_h`` are those of :func:`polynomial`; ``x_h`` is not changed. For NaN the voltage is the last one;
+    beyond the range of a parabola it is that of its extremum. ``x_i``, shape (≥ 11,), is scratch; ``hysteresis`` and
+    ``p_i`` are not used, because the branches are inverted in closed form.
     """
     x = x_i
     for i in range(STATES):

@@ -171,18 +171,10 @@ def prandtl_ishlinskii(p, x, u):
 
 @kernel
 def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is not changed.
+    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; NaN gives the last voltage.
 
-    Parameters
-    ----------
-    hysteresis : kernel
-        Not used.
-    p_i, x_i : ndarray
-        Not used.
-    p_h, x_h : ndarray
-        Parameters and state of :func:`prandtl_ishlinskii`.
-    displacement : float
-        Commanded output [m]; NaN gives the last voltage.
+    ``p_h`` and ``x_h`` are those of :func:`prandtl_ishlinskii`; ``x_h`` is not changed. The other arguments are not
+    used.
     """
     voltage = x_h[VOLTAGE]
     if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:

@@ -50,18 +50,7 @@ def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
 
 
 def shape_of(kind: str) -> ScanShape:
-    """Return the declaration of a scan.
-
-    Parameters
-    ----------
-    kind : str
-        One of :data:`SCANS`.
-
-    Raises
-    ------
-    ParameterError
-        There is no such scan.
-    """
+    """Return the declaration of a scan, one of :data:`SCANS`; ParameterError if there is no such scan."""
     if kind not in SCANS:
         allowed = f"there is no such scan; there are {', '.join(SCANS)}{did_you_mean(kind, SCANS)}"
         raise ParameterError([Problem("scan", kind, allowed)])
@@ -69,36 +58,17 @@ def shape_of(kind: str) -> ScanShape:
 
 
 def rows_of(kind: str) -> dict[str, ParameterRow]:
-    """Return the parameters of a scan by name: its own, then the shared ones.
-
-    Parameters
-    ----------
-    kind : str
-        One of :data:`SCANS`.
-    """
+    """Return the parameters of a scan, one of :data:`SCANS`, by name: its own, then the shared ones."""
     shared = {row.name for row in Scan.table()}
     rows = shape_of(kind).parameters.table()
     return {row.name: row for row in sorted(rows, key=lambda row: row.name in shared)}
 
 
 def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dict[str, Any]:
-    """Return parameters in SI from texts.
+    """Return parameters in SI from texts ``NAME=VALUE``, a length with its unit: ``width=80um``.
 
-    Parameters
-    ----------
-    words : iterable of str
-        Texts ``NAME=VALUE``, a length with its unit: ``width=80um``.
-    rows : mapping of str to ParameterRow
-        The existing parameters, as :func:`rows_of` returns them.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    ParameterError
-        A text has another form, or a parameter is unknown or invalid.
+    ``rows`` are the existing parameters, as :func:`rows_of` returns them. ParameterError: a text has another form, or a
+    parameter is unknown or invalid.
     """
     found, problems = {}, []
     for word in words:
@@ -119,19 +89,9 @@ def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dic
 
 
 def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
-    """Return a scan from texts, as a parameter file or the command line has them.
+    """Return a scan from texts ``NAME=VALUE``, as a parameter file or the command line has them.
 
-    Parameters
-    ----------
-    kind : str
-        One of :data:`SCANS`.
-    words : iterable of str
-        Texts ``NAME=VALUE``.
-
-    Raises
-    ------
-    ParameterError
-        There is no such scan, or a parameter is unknown, missing or out of range.
+    ParameterError: there is no such scan, or a parameter is unknown, missing or out of range.
     """
     return scan_of(kind, parsed_values(words, rows_of(kind)))
 
@@ -139,14 +99,7 @@ def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
 def scan_words(scan: Scan) -> tuple[str, tuple[str, ...]]:
     """Return the kind of a scan, and its parameters as texts, from which :func:`parsed_scan` recreates it.
 
-    Parameters
-    ----------
-    scan : Scan
-
-    Raises
-    ------
-    ParameterError
-        The scan is not one of :data:`SCANS`.
+    ParameterError: the scan is not one of :data:`SCANS`.
     """
     kind = next((name for name, shape in SCANS.items() if type(scan) is shape.parameters), None)
     if kind is None:

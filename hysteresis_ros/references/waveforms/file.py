@@ -136,19 +136,8 @@ def _name_and_unit(text: str) -> tuple[str, str | None]:
 def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarray | None, list[np.ndarray]]:
     """Return the column ``time`` [s] of a CSV or NPZ (None: no such column), and columns of lengths [m].
 
-    Parameters
-    ----------
-    source : Path
-        The suffix determines the format.
-    columns : sequence of str
-        Names without units, which the header of a CSV gives.
-
-    Raises
-    ------
-    KeyError
-        A column or its unit is missing.
-    ValueError
-        The file does not contain columns of numbers of equal length.
+    The suffix determines the format; ``columns`` are names without units, which the header of a CSV gives. KeyError: a
+    column or its unit is missing. ValueError: the columns are not numbers of equal length.
     """
     return (_read_npz if source.suffix.lower() == ".npz" else _read_csv)(source, columns)
 

@@ -78,15 +78,7 @@ def repetition(period: float, sample_time: float, name: str = "scan.values") -> 
 
 
 def clock_of(parameters, sample_time: float) -> ScanClock:
-    """Return the clock of a scan.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-        Those of a waveform ``scan``.
-    sample_time : float
-        [s]
-    """
+    """Return the clock of a scan, from the parameters of a waveform ``scan`` and the sample time [s]."""
     from hysteresis_ros.references.scans import parsed_scan
 
     own = parameters.scan
