@@ -9,8 +9,8 @@
 
 """Registries of declarations in folders and in other packages, and notebook classes generated from them.
 
-Every module (or folder) in such a folder declares one object under one name, for instance ``MODEL``. The registry finds
-every file of the folder. Other packages add declarations by an entry point of the registry's group.
+Every module (or folder) in such a folder declares an object under one name, for instance ``MODEL``, or a tuple of them.
+The registry finds every file of the folder. Other packages add declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
 entry of a registry. Such a class is generated: it is the block with a constructor that takes keywords.
@@ -57,7 +57,9 @@ def discover(package: str, attribute: str, kind: type[Declaration], group: str) 
     for item in pkgutil.iter_modules(sys.modules[package].__path__):
         if not item.name.startswith("_"):
             module = importlib.import_module(f"{package}.{item.name}")
-            _add(found, getattr(module, attribute, None), kind, f"{module.__name__}.{attribute}")
+            declared = getattr(module, attribute, None)
+            for one in declared if isinstance(declared, tuple) else (declared,):
+                _add(found, one, kind, f"{module.__name__}.{attribute}")
     return added(found, kind, group)
 
 

@@ -46,9 +46,13 @@ def found(tmp_path, monkeypatch):
 
 
 def test_modules_and_entry_points_are_found_in_alphabetical_order(found):
-    modules = {"b": 'THING = Thing(name="b")', "a": 'THING = Thing(name="z")', "_kept_out": "OTHER = Thing(name='o')"}
+    modules = {
+        "b": 'THING = (Thing(name="b"), Thing(name="c"))',
+        "a": 'THING = Thing(name="z")',
+        "_kept_out": "OTHER = Thing(name='o')",
+    }
     things = found(modules, "other = {name}._kept_out:OTHER\n")
-    assert list(things) == ["b", "o", "z"] and things["z"].name == "z"
+    assert list(things) == ["b", "c", "o", "z"] and things["z"].name == "z"
 
 
 @pytest.mark.parametrize(
@@ -56,6 +60,7 @@ def test_modules_and_entry_points_are_found_in_alphabetical_order(found):
     [
         ({"a": ""}, r"a\.THING must be a SimpleNamespace, it is None"),
         ({"a": 'THING = Thing(name="x")', "b": 'THING = Thing(name="x")'}, r"b\.THING: the name 'x' is taken"),
+        ({"a": 'THING = (Thing(name="x"), 1)'}, r"a\.THING must be a SimpleNamespace, it is 1"),
     ],
 )
 def test_a_module_that_declares_nothing_or_the_same_again_is_a_mistake(found, modules, words):

@@ -129,13 +129,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
     """Return the zeros to leave out; zeros smaller than a zero of low angle cannot be separated from it and are kept.
 
-    Parameters
-    ----------
-    zeros : ndarray of complex, shape (n,)
-    margin : float
-        Zeros nearer to the circle than this count as on it.
-    inside : bool
-        Whether zeros inside the circle are included.
+    Zeros nearer to the circle than ``margin`` count as on it; ``inside`` includes those inside it.
     """
     sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
     inner = np.max(sizes[low & (sizes < 1.0 - margin)], initial=1.0 / FARTHEST)
@@ -219,7 +213,9 @@ class InverseFilter:
     zeros : ndarray of complex
         Zeros of the dynamics, except those at infinity and at 0, which only delay.
     error : float
-        Result of :func:`inversion_error` for this preview.
+        Largest error of the command at this preview, as a fraction of the span of the reference: the sum of the
+        magnitudes of the truncated weights, Σ |w_i|, a bound for every reference with a span of 1; 0 when no zero is
+        outside the unit circle.
     left_out : Notch or None
         Zeros near the circle that are not inverted, and their replacement.
     """
@@ -270,13 +266,7 @@ class _Parts(NamedTuple):
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
-    """Return the number of samples until the output first responds to an input, including the delay.
-
-    Raises
-    ------
-    ParameterError
-        The output never responds.
-    """
+    """Return the samples until the output first responds to an input, with delay; ParameterError if it never does."""
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
 
 
@@ -481,27 +471,10 @@ def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: in
     return f"must be at least {degree + ahead}: the model responds {degree} samples after its input{beyond}{asked}"
 
 
-def inversion_error(dynamics: LinearParameters, preview: int) -> float:
-    """Return the largest error of the command at this preview, as a fraction of the span of the reference.
-
-    It is the sum of the magnitudes of the truncated weights, Σ |w_i|: a bound for every reference with a span of 1.
-    It is 0 when no zero is outside the unit circle.
-
-    Raises
-    ------
-    ParameterError
-        See :func:`inverse_filter`.
-    """
-    return inverse_filter(dynamics, preview).error
-
-
 def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -> int:
     """Return the smallest preview [samples] with an inversion error of at most ``error``.
 
-    Raises
-    ------
-    ParameterError
-        The dynamics have no stable inverse.
+    ParameterError: the dynamics have no stable inverse.
     """
     parts = _parts(dynamics)
     remaining = _remaining(_future_weights(parts, dynamics.resolved_input_scale / dynamics.output_scale))
@@ -512,10 +485,7 @@ def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -
 def designed_preview(dynamics: LinearParameters) -> int:
     """Return the preview [samples] that a design chooses for the inverse of the dynamics.
 
-    Raises
-    ------
-    ParameterError
-        The dynamics have no stable inverse, or its preview would be too long.
+    ParameterError: the dynamics have no stable inverse, or its preview would be too long.
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:

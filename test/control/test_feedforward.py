@@ -23,7 +23,6 @@ from hysteresis_ros.control.controller import ControllerParameters, feedforward_
 from hysteresis_ros.control.feedforward import (
     designed_preview,
     inverse_filter,
-    inversion_error,
     mean_delay,
     preview_warning,
     relative_degree,
@@ -152,10 +151,10 @@ def test_kims_sampling_zeros_are_the_published_realisations():
 
 
 def test_the_error_dies_out_as_the_outside_zero_to_the_power_of_the_preview():
-    errors = [inversion_error(KIM, preview) for preview in (3, 4, 5)]
+    errors = [inverse_filter(KIM, preview).error for preview in (3, 4, 5)]
     assert errors[0] / errors[1] == pytest.approx(3.09, abs=0.005) == errors[1] / errors[2]
     enough = sufficient_preview(KIM)
-    assert inversion_error(KIM, enough) <= 1e-3 < inversion_error(KIM, enough - 1)
+    assert inverse_filter(KIM, enough).error <= 1e-3 < inverse_filter(KIM, enough - 1).error
 
 
 def test_no_reference_makes_the_command_wrong_by_more_than_the_stated_error():

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference waveforms: each is one file or folder here, found automatically; a parameter chooses one by name.
+"""Reference waveforms: the files here, found automatically, declare them; a parameter chooses one by name.
 
 :mod:`hysteresis_ros.references.declaration` describes the declaration of a waveform. A waveform is a block whose output
 depends only on the sample counter, from which that module computes the position within the cycle. After the last of
