@@ -30,8 +30,7 @@ import numpy as np
 
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.designs.stage_feedforward import design_stage_feedforward
-from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import StageFeedforwardParameters, StageParameters
 from hysteresis_ros.references.waveforms import WaveformParameters
 
 #: Length of a run, and time from which on motions count [s]; size of the step and amplitude of the triangles [m].

@@ -127,8 +127,12 @@ def _write(found, title: str, outputs, plot, report) -> None:
             save_response(output, found.plant, found.columns, found.figures)
     if plot is None and report is None:
         return
-    from hysteresis_ros.analysis.response_plots import write_response_picture, write_response_report
-    from hysteresis_ros.analysis.stage_response_plots import write_matrix_picture, write_matrix_report
+    from hysteresis_ros.analysis.response_plots import (
+        write_matrix_picture,
+        write_matrix_report,
+        write_response_picture,
+        write_response_report,
+    )
 
     of_stage = isinstance(found, StageResponse)
     with Progress(err=True).during("drawing"):

@@ -254,7 +254,7 @@ def _stage(data, columns, request, loops, into, params, report_path, json_path) 
 
 def _stage_page(path, source: str, found) -> None:
     """Write the page of an identified stage."""
-    from hysteresis_ros.analysis.stage_identification_report import ClosedLoops, write_stage_identification_report
+    from hysteresis_ros.analysis.identification_report import ClosedLoops, write_stage_identification_report
     from hysteresis_ros.designs.coupled import GRID, stage_rows
     from hysteresis_ros.loop.stage_response import stage_response
 

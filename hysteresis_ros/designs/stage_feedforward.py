@@ -43,8 +43,7 @@ from hysteresis_ros.designs.stage_stability import gain_at_rest, right_decouplin
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
-from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import StageFeedforwardParameters, StageParameters
 from hysteresis_ros.loop.stage_response import damped_response
 from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters

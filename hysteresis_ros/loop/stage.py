@@ -16,9 +16,9 @@ actuators. Every axis compensates its hysteresis and outputs its voltage. Finall
 The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
 and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the commands times the decoupling; their
 achieved commands are transformed back by its inverse. After each sample the feedforward of the stage takes the new
-references of all axes and adds its part to their next commands
-(:mod:`hysteresis_ros.loop.stage_feedforward`). A stage stops as a whole: when the plant of one axis trips, the
-other axes stop too; while the measurement of one axis is stale, all controllers go to their safe commands.
+references of all axes and adds its part to their next commands (:class:`.StageFeedforwardParameters`). A stage stops as
+a whole: when the plant of one axis trips, the other axes stop too; while the measurement of one axis is stale, all
+controllers go to their safe commands.
 """
 
 from __future__ import annotations

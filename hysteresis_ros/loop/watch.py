@@ -45,7 +45,6 @@ TIMEOUT = 0  # samples without a good value after which the input is stale
 SPIKE = 1  # largest change from one good value to the next, 0: any
 CONFIRM = 2  # number of larger changes in a row after which the change is accepted
 FROZEN = 3  # equal values in a row after which a sensor counts as frozen, 0: never
-GUARD_PARAMETERS = 4
 
 # State of a guard.
 GOOD = 0  # last good value
@@ -132,7 +131,6 @@ SAFE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
 HOLD_TIMEOUT = 2  # samples
 KEEP = 3  # 1: the safe voltage is never below the present output, for a clamp that must not open
-HOLD_PARAMETERS = 4
 
 # State of a held voltage.
 HELD = 0  # output [V]
@@ -140,7 +138,6 @@ GIVEN = 1  # last received voltage [V]
 HELD_AGE = 2  # samples since the last received voltage
 HELD_BEGUN = 3  # 1 after the first received voltage
 FOLLOWS = 4  # 1 while the output equals the received voltage
-HOLD_STATES = 5
 
 
 @called

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from hysteresis_ros import signals
+from hysteresis_ros.configuration import normalised_namespace
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_writer import BagWriter, Frames
@@ -260,7 +261,7 @@ def write_recording(
         bag.describe(RECORD, provenance())
         for space, one in axes.items():
             own = joint or str(configured(text, "plant_simulator", space).get("joint", "piezo"))
-            _write_topics(bag, one, text, _prefix(space), own, start_time_ns)
+            _write_topics(bag, one, text, normalised_namespace(space), own, start_time_ns)
 
     if path.suffix.lower() != ".mcap":
         with BagWriter(path) as bag:
@@ -278,11 +279,6 @@ def write_recording(
         (folder / path.stem / f"{path.stem}.mcap").rename(path)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _prefix(namespace: str) -> str:
-    stripped = namespace.strip("/")
-    return f"/{stripped}" if stripped else ""
 
 
 def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -> None:

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hysteresis_ros.laboratory.watch.live import History, amplitude_density, extremes, outline
+from hysteresis_ros.laboratory.watch.views import History, amplitude_density, extremes, outline
 
 VALUES = st.floats(-1e6, 1e6) | st.just(float("nan"))
 

@@ -30,8 +30,7 @@ from hysteresis_ros.designs.stage_feedforward import (
     without_stage_feedforward,
 )
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import StageFeedforwardParameters, StageParameters
 from hysteresis_ros.loop.stage_response import damped_response
 from hysteresis_ros.loop.stage_simulation import simulate_stage
 

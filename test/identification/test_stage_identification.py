@@ -25,7 +25,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "loop"))
 from coupled_stages import as_values, configured, internal_structure  # noqa: E402
 
 import hysteresis_ros as hr  # noqa: E402
-from hysteresis_ros.analysis.stage_identification_report import write_stage_identification_report  # noqa: E402
+from hysteresis_ros.analysis.identification_report import write_stage_identification_report  # noqa: E402
 from hysteresis_ros.configuration import load_configuration, parse_configuration  # noqa: E402
 from hysteresis_ros.designs import stage_identification  # noqa: E402
 from hysteresis_ros.designs.coupled import response_uncertainties, stage_rows  # noqa: E402

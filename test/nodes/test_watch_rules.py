@@ -29,8 +29,7 @@ from hysteresis_ros.laboratory.watch.access import (
     new_token,
     read_request,
 )
-from hysteresis_ros.laboratory.watch.live import History, extremes
-from hysteresis_ros.laboratory.watch.views import LOOP, SHOWN, View, limits_of, table_of
+from hysteresis_ros.laboratory.watch.views import LOOP, SHOWN, History, View, extremes, limits_of, table_of
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
 
 ANYTHING = st.recursive(

@@ -10,5 +10,5 @@
 """``hysteresis watch``: a web page that shows an axis while it runs, and tunes it.
 
 ``server_process`` starts the process, ``server`` serves the page (folder page/), and ``link`` is its node in the ROS
-graph. ``memory`` stores the samples, ``views`` makes the frames for a page, and ``access`` checks requests.
+graph. ``memory`` stores the samples, ``views`` reduces them to the frames of a page, and ``access`` checks requests.
 """

@@ -24,8 +24,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 from hysteresis_ros import signals
-from hysteresis_ros.laboratory.watch.live import History, amplitude_density
-from hysteresis_ros.laboratory.watch.views import MEMORY, MOTOR_SHOWN, SHOWN, View
+from hysteresis_ros.laboratory.watch.views import MEMORY, MOTOR_SHOWN, SHOWN, History, View, amplitude_density
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.samples import SECOND, Block
 from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES

@@ -379,7 +379,6 @@ _ON_TRUST = (
     "the paper's law relies on the gain of the model: its error remains on the upper level; the filter that estimates "
     "a disturbance removes it"
 )
-_FINDING = "the estimation of the disturbance prolongs the approach"
 _NO_NEGATIVE = "with D > 0 no positive voltage returns the stack to zero, with any controller"
 _OUT_OF_REACH = "an amplifier limited to 18 V cannot reach the step with any controller"
 _REMEMBERED = (
