@@ -18,7 +18,6 @@ the machine can, or each waits for setpoints after the previous one; in real tim
 from __future__ import annotations
 
 import math
-import pathlib
 import sys
 import threading
 import time
@@ -33,8 +32,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String, UInt64
 
-from hysteresis_ros.configuration import parse_configuration
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
+from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
 from hysteresis_ros.files import BoundsError, read_arrays
 from hysteresis_ros.loop.axis_array import ArrayNodeParameters, AxisArray, parameters_of_each
 from hysteresis_ros.loop.parameters import AxisParameters
@@ -42,7 +40,7 @@ from hysteresis_ros.nodes.base import ERROR, OK, WARN, AxisNode
 from hysteresis_ros.nodes.plant_simulator import Stamps
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.realtime import RealTime
-from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.nodes.spin import given_configuration, refused, run
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
 from hysteresis_ros.recordings.provenance import RECORD, provenance
 
@@ -369,16 +367,11 @@ def main(arguments=None) -> int:
     """Run the node; returns the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     try:
-        if "--params-file" not in arguments[:-1]:
-            raise ConfigurationError("the array has no parameters: give its file with --ros-args --params-file FILE")
-        path = pathlib.Path(arguments[arguments.index("--params-file") + 1])
-        text = path.read_text("utf-8")
-        axis = AxisParameters.from_configuration(parse_configuration(text, str(path)))
-    except (HysteresisError, OSError, UnicodeDecodeError) as error:
-        for problem in error.problems if isinstance(error, ParameterError) else (error,):
-            print(f"error: {problem}", file=sys.stderr)
-        return 2
-    return run([partial(AxisArrayNode, axis, text)], arguments)
+        configuration = given_configuration(arguments, "array")
+        axis = AxisParameters.from_configuration(configuration)
+    except HysteresisError as error:
+        return refused(error)
+    return run([partial(AxisArrayNode, axis, configuration.text)], arguments)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from hysteresis_ros.configuration import Configuration, load_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.nodes.domain import require_admission, stay_on_this_machine
 from hysteresis_ros.nodes.launcher import leave_with_ros2, node_environment, session
@@ -48,6 +50,20 @@ def release_compiler() -> None:
         if "libllvmlite" in path and rights == "r-xp":
             start, end = (int(address, 16) for address in span.split("-"))
             madvise(start, end - start, _MADV_DONTNEED)
+
+
+def given_configuration(arguments: list[str], what: str) -> Configuration:
+    """Return the configuration in the file after ``--params-file``, from which the nodes of ``what`` are made."""
+    if "--params-file" not in arguments[:-1]:
+        raise ConfigurationError(f"the {what} has no parameters: give its file with --ros-args --params-file FILE")
+    return load_configuration(arguments[arguments.index("--params-file") + 1])
+
+
+def refused(error: HysteresisError) -> int:
+    """Print each problem of a refused configuration; return the exit code."""
+    for problem in error.problems if isinstance(error, ParameterError) else (error,):
+        print(f"error: {problem}", file=sys.stderr)
+    return 2
 
 
 #: Interval of the check for signals and finished nodes while no message arrives [s].

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import copy
 import math
-import pathlib
 import sys
 import threading
 from array import array
@@ -36,9 +35,8 @@ from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from hysteresis_ros import signals
-from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.control import feedforward as feeding
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
+from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.controller import RETURNING, STOP
 from hysteresis_ros.loop.stage import (
@@ -68,7 +66,7 @@ from hysteresis_ros.nodes.recorder import RecorderNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
 from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.scan_clock import ScanClockTopic
-from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.nodes.spin import given_configuration, refused, run
 from hysteresis_ros.nodes.trajectories import (
     ACTION,
     REST,
@@ -780,16 +778,11 @@ def main(arguments=None) -> int:
         arguments.remove(WITH_RECORDER)
         kinds = [*KINDS, "recorder"]
     try:
-        if "--params-file" not in arguments[:-1]:
-            raise ConfigurationError("the stage has no parameters: give its file with --ros-args --params-file FILE")
-        path = pathlib.Path(arguments[arguments.index("--params-file") + 1])
-        parameters = StageParameters.from_configuration(parse_configuration(path.read_text("utf-8"), str(path)))
+        parameters = StageParameters.from_configuration(given_configuration(arguments, "stage"))
         require_messages(parameters)
         factories = stage_factories(parameters, kinds or KINDS)
-    except (HysteresisError, OSError) as error:
-        for problem in error.problems if isinstance(error, ParameterError) else (error,):
-            print(f"error: {problem}", file=sys.stderr)
-        return 2
+    except HysteresisError as error:
+        return refused(error)
     steered = "reference_generator" in (kinds or KINDS)
     return run(factories, [word for word in arguments if word not in kinds], steered)
 

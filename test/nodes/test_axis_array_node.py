@@ -35,6 +35,7 @@ from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.loop.axis_array import ArrayNodeParameters, AxisArray, parameters_of_each  # noqa: E402
 from hysteresis_ros.loop.parameters import AxisParameters  # noqa: E402
 from hysteresis_ros.models.actuator import PreloadParameters  # noqa: E402
+from hysteresis_ros.nodes import axis_array, stage  # noqa: E402
 from hysteresis_ros.nodes.axis_array import ArrayRunner, AxisArrayNode  # noqa: E402
 from hysteresis_ros.nodes.base import ERROR, OK, WARN  # noqa: E402
 
@@ -320,3 +321,17 @@ def test_late_samples_are_counted_and_a_schedule_far_behind_is_shifted(monkeypat
     assert node.late == late and len(begun) == shifts
     # without a shift the last samples are where they would have been
     assert ran[-1] == pytest.approx(100.29 if shifts == 1 else 100.05 + 0.5 + 0.23, abs=1e-9)
+
+
+@pytest.mark.parametrize("module", [axis_array, stage])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(None, "no such file"), (b"\xff", "cannot be read"), (b"a: [", "not readable as YAML"), ("", "has no parameters")],
+)
+def test_a_file_of_parameters_that_cannot_be_read_is_one_line(module, content, said, tmp_path, capsys):
+    path = tmp_path / "given.yaml"
+    if content:
+        path.write_bytes(content)
+    assert module.main(["node", "--ros-args", *(() if content == "" else ("--params-file", str(path)))]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ") and said in line
