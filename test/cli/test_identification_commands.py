@@ -15,10 +15,9 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_support import run
 from measured_data import measured_data
 
-from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.identification.parameter_file import load_chain
 from hysteresis_ros.identification.prediction import predict
@@ -38,10 +37,6 @@ STACK = PrandtlIshlinskiiParameters(
     radii=tuple(np.linspace(0.0, 45.0, 16)), weights=(8e-8, *[3e-9] * 15), thresholds=(6e-6,), zone_weights=(-0.05,)
 )
 LAG = float(np.exp(-1.0 / (RATE * 0.01)))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(item) for item in arguments])
 
 
 def refused(result) -> str:

@@ -13,14 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_support import run
 
-from hysteresis_ros.cli.main import main
 from hysteresis_ros.recordings import load_run
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_a_simulated_axis_follows_what_was_asked_for(tmp_path):

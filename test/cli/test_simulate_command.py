@@ -9,21 +9,11 @@
 
 """`hysteresis simulate`: the same run in every format, replayed setpoints, and messages for wrong input."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from command_support import hysteresis
 
 from hysteresis_ros.recordings import COLUMNS, load_run
-
-
-def hysteresis(*words, code=0):
-    answer = subprocess.run(
-        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
-    )
-    assert answer.returncode == code, answer.stdout + answer.stderr
-    return answer.stdout + answer.stderr
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
+from command_support import hysteresis
 
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
@@ -29,14 +30,6 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import with_scan
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
-
-
-def hysteresis(*words, code=0):
-    answer = subprocess.run(
-        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
-    )
-    assert answer.returncode == code, answer.stdout + answer.stderr
-    return answer.stdout + answer.stderr
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis verify``: one line and an exit code state whether a recording is reproduced bit for bit."""
+"""``hysteresis verify``: one line and an exit code state whether a recording is reproduced bit for bit.
+
+A recording with missing samples or changes is called incomplete, neither equal to its offline twin nor different.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,13 @@ import pytest
 from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.cli.recording import unlike
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import simulate_stage
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.recordings.provenance import LARGEST, packed_files
 
@@ -110,3 +115,36 @@ def test_files_of_the_axes_of_a_stage_are_those_of_the_recording_too(tmp_path):
     save_run(run, path)
     scan.unlink()
     assert verify(path) == (0, f"{path}: 100 samples equal the offline twin bit for bit, none missing\n")
+
+
+@pytest.mark.parametrize(
+    ("metadata", "found", "said"),
+    [
+        ({}, {}, ""),
+        ({"missing_samples": 0, "missing_changes": 0}, {}, ""),
+        ({"missing_samples": 3}, {}, "run lacks 3 samples, so it cannot be compared with the offline twin"),
+        (
+            {"missing_changes": 2},
+            {},
+            "run lacks 2 entries of the change log, so it cannot be compared with the offline twin",
+        ),
+        (
+            {"missing_samples": 1, "missing_changes": 2},
+            {"command": 4},
+            "run lacks 1 samples and 2 entries of the change log, so it cannot be compared with the offline twin",
+        ),
+        ({}, {"command": 4}, "run differs from the offline twin (command: 4 samples)"),
+    ],
+)
+def test_an_incomplete_recording_is_not_said_to_differ(metadata, found, said):
+    run = Recording(np.arange(4.0), {"command": np.zeros(4)}, metadata=metadata)
+    text = unlike("run", run, found)
+    assert text == said
+
+
+def test_a_recording_that_lost_samples_at_its_end_is_not_called_equal(tmp_path):
+    run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
+    run.metadata["missing_samples"] = 5
+    save_run(run, tmp_path / "run.npz")
+    result = CliRunner().invoke(main, ["verify", str(tmp_path / "run.npz")])
+    assert result.exit_code == 1 and "lacks 5 samples, so it cannot be compared" in result.output

@@ -15,9 +15,7 @@ import importlib.util
 import socket
 
 import pytest
-from click.testing import CliRunner
-
-from hysteresis_ros.cli.main import main
+from command_support import refusal
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
@@ -28,14 +26,6 @@ def nothing_starts(monkeypatch):
     import subprocess
 
     monkeypatch.setattr(subprocess, "Popen", lambda *given, **options: pytest.fail(f"started: {given}"))
-
-
-def refusal(*words: object) -> str:
-    result = CliRunner().invoke(main, [str(word) for word in words])
-    assert result.exit_code == 2, result.output
-    lines = result.output.splitlines()
-    assert len(lines) == 1 and lines[0].startswith("hysteresis: "), result.output
-    return lines[0]
 
 
 @pytest.mark.parametrize("words", [("watch",), ("watch", "kim2009"), ("up", "kim2009", "--watch")])

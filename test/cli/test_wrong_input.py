@@ -15,24 +15,10 @@ import pathlib
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_support import refusal, run
 
-from hysteresis_ros.cli.main import COMMANDS, main
+from hysteresis_ros.cli.main import COMMANDS
 from hysteresis_ros.configuration import config_path
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-def refusal(*words) -> str:
-    """Return the one line with which a command refuses."""
-    result = run(*words)
-    assert isinstance(result.exception, SystemExit), result.exception
-    assert result.exit_code == 2, result.output
-    lines = result.output.splitlines()
-    assert len(lines) == 1 and lines[0].startswith("hysteresis: "), result.output
-    return lines[0]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage of another class than any model, simulated in process; its state is kept from stage to stage."""
+"""A stage of another class than any model, simulated in process, and the situation of its commissioning.
+
+The state of the stage is kept from stage to stage of the commissioning.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,14 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.cli.commissioning.bench import Bench
+from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
 from hysteresis_ros.cli.commissioning.stages import Attendant
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.laboratory.comparison.tasks import ForeignPlant
 from hysteresis_ros.laboratory.foreign import ForeignParameters
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -90,3 +97,20 @@ class Willing(Attendant):
     def told(self, stage, outcome, done_before):
         """Note."""
         self.heard[stage] = (outcome, done_before)
+
+
+#: Entries of the plan that make a commissioning short.
+SHORT = "    noise_duration: 0.5\n    cycle_frequency: 2.0\n    creep_duration: 2.0\n"
+
+
+def sitting(folder, resumed=False, plan="", **choices):
+    """Return the situation of a commissioning of a new axis."""
+    path = folder / "stage.yaml"
+    if not path.exists():
+        write_new(path, NewAxis(100e-6, 0.0, 100.0, RATE))
+        path.write_text(path.read_text() + SHORT + plan)
+    configuration = load_configuration(path)
+    axis = single_axis(configuration)
+    kept = Folder(folder / "kept", configuration.text, ForeignBench.name, resumed)
+    choices = {"model": "prandtl_ishlinskii", "controller": "pid", "against": ("polynomial",), **choices}
+    return Situation(configuration, axis, plan_of(configuration, axis), kept, **choices)

@@ -16,8 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from commissioning_support import RATE, STAGE, ForeignBench, Willing
-from sitting_support import sitting
+from commissioning_support import RATE, STAGE, ForeignBench, Willing, sitting
 
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound

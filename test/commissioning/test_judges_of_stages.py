@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sitting_support import sitting
+from commissioning_support import sitting
 
 from hysteresis_ros.cli.commissioning import bench as benches
 from hysteresis_ros.cli.commissioning import closed_loop as closed

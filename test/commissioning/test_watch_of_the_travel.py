@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sitting_support import sitting
+from commissioning_support import sitting
 
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.situation import Outcome

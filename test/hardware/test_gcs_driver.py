@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gcs_stand_support import CYCLE, RATE, Stand
+from gcs_support import CYCLE, RATE, serving_stand
 from waiting import until
 
 from hysteresis_ros import signals as at
@@ -30,7 +30,6 @@ from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.drivers import gcs as driving
 from hysteresis_ros.hardware.drivers.gcs import GcsParameters
 from hysteresis_ros.hardware.registry import DRIVERS
-from hysteresis_ros.laboratory.emulation.server import serving
 from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.parameters import PlantNodeParameters
 
@@ -40,9 +39,7 @@ LOST = 0.5
 
 @pytest.fixture
 def stand(request):
-    stand = Stand(getattr(request, "param", "E-754"))
-    with serving(("127.0.0.1", 0), stand.session, stand.controller.tick, stand.faults) as server:
-        stand.port = server.port
+    with serving_stand(getattr(request, "param", "E-754")) as stand:
         yield stand
 
 

@@ -15,19 +15,16 @@ import contextlib
 
 import numpy as np
 import pytest
-from gcs_stand_support import Stand
+from gcs_support import serving_stand
 from waiting import until
 
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.laboratory.emulation.gcs import Session
-from hysteresis_ros.laboratory.emulation.server import serving
 
 
 @pytest.fixture
 def controller():
-    stand = Stand("E-754")
-    with serving(("127.0.0.1", 0), stand.session, stand.controller.tick, stand.faults) as server:
-        stand.port = server.port
+    with serving_stand() as stand:
         yield stand
 
 

@@ -16,8 +16,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven_support import run
-from gcs_stand_support import CYCLE, RATE, Stand
-from gcs_support import Bench
+from gcs_support import CYCLE, RATE, Bench, serving_stand
 from waiting import until
 
 from hysteresis_ros import signals as at
@@ -30,7 +29,6 @@ from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.laboratory.emulation.bench import Bench as DeviceBench
 from hysteresis_ros.laboratory.emulation.gcs import COMMANDS
 from hysteresis_ros.laboratory.emulation.iio import TRIGGER, EmulatedConvertersParameters, start
-from hysteresis_ros.laboratory.emulation.server import serving
 from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.models.calibration import SensorCalibration, SensorCalibrationParameters
@@ -187,9 +185,7 @@ def test_the_emulated_controller_pulses_where_the_axis_passes_a_grid_in_one_dire
 
 @pytest.fixture
 def stand():
-    stand = Stand("E-754")
-    with serving(("127.0.0.1", 0), stand.session, stand.controller.tick, stand.faults) as server:
-        stand.port = server.port
+    with serving_stand() as stand:
         yield stand
 
 

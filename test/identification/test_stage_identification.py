@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import json
 import pathlib
-import subprocess
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command_support import hysteresis
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "loop"))
 from coupled_stages import as_values, configured, internal_structure  # noqa: E402
@@ -67,14 +67,6 @@ from hysteresis_ros.units import readable  # noqa: E402
 
 STEP = 1e-4
 CROSSTALK = np.array([[1.0, 0.05], [0.03, 1.0]])
-
-
-def hysteresis(*words, code=0):
-    answer = subprocess.run(
-        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
-    )
-    assert answer.returncode == code, answer.stdout + answer.stderr
-    return answer.stdout + answer.stderr
 
 
 def plant(gain=CROSSTALK) -> LinearModel:

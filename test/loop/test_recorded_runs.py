@@ -39,10 +39,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coupled_stages import configured
 from loop_support import LEARNS
 from loop_support import TRIANGLE as TAUGHT
 
-from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
 from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values, static_decoupling
 from hysteresis_ros.control.learning import Learned, write_learned
@@ -103,17 +103,9 @@ def note(node: str, parameters) -> None:
             used.setdefault(f"{node}.{row.name}", set()).add(values[row.name])
 
 
-def configured(name: str, nodes: Mapping[str, Mapping[str, Any]]):
-    """Return a configuration with other parameters by node; ``every`` are all nodes, ``x__…`` one of an axis."""
-    configuration = load_configuration(name)
-    for node, values in nodes.items():
-        configuration = configuration.override("" if node == "every" else node.replace("__", "/"), **values)
-    return configuration
-
-
 def axis_of(name: str, nodes: Mapping[str, Mapping[str, Any]], seed: int | None = None):
     """Return the parameters of an axis; with a seed its plant differs from its models."""
-    configuration = configured(name, nodes)
+    configuration = configured(name, **nodes)
     axis = single_axis(configuration if seed is None else mismatched(configuration, 0.1, seed))
     for node in NODE_PARAMETERS:
         if getattr(axis, node) is not None:
@@ -186,7 +178,7 @@ def stage(
     """Return a function that simulates a stage with other parameters by node, and returns its signals."""
 
     def simulated() -> Signals:
-        configuration = configured(name, nodes)
+        configuration = configured(name, **nodes)
         if scan is not None:
             configuration = with_scan(configuration, scan[0], scan[1].split())
         parameters = StageParameters.from_configuration(configuration)
@@ -283,7 +275,7 @@ def margin_figures() -> dict[str, Any]:
 
 def stage_figures() -> dict[str, Any]:
     """Return margins, responses and coupling of a stage."""
-    given = StageParameters.from_configuration(with_scan(configured("xy_scanner", {}), "raster", RASTER.split()))
+    given = StageParameters.from_configuration(with_scan(configured("xy_scanner"), "raster", RASTER.split()))
     angles, gain = np.array([0.01, 0.1, 1.0]), np.array([[1.0, 0.04], [0.1, 0.8]])
     margins = disk_margins(stage_loop(given), 1.0 / given.sample_rate)
     found: dict[str, Any] = {
@@ -305,7 +297,7 @@ def stage_figures() -> dict[str, Any]:
 
 def mirror_figures() -> dict[str, Any]:
     """Return margins and responses of a stage with hysteresis inside its structure."""
-    given = StageParameters.from_configuration(configured("steering_mirror", {}))
+    given = StageParameters.from_configuration(configured("steering_mirror"))
     margins = disk_margins(stage_loop(given), 1.0 / given.sample_rate)
     return {
         "response": stage_response(given, np.array([0.01, 0.1, 1.0])),

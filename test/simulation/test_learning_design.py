@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_support import refusal
 from force_support import IFF
 
-from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import linear_loop
@@ -94,14 +93,6 @@ def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_comman
         assert 0.0 < given.late_recovery <= given.recovery, name
 
 
-def refusal(*words) -> str:
-    result = CliRunner().invoke(main, ["design", *map(str, words)])
-    assert result.exit_code == 2, result.output
-    lines = result.output.splitlines()
-    assert len(lines) == 1 and lines[0].startswith("hysteresis: "), result.output
-    return lines[0]
-
-
 @pytest.mark.parametrize(
     "words, expected",
     [
@@ -120,7 +111,7 @@ def refusal(*words) -> str:
 def test_wrong_words_are_refused_in_one_line(tmp_path, words, expected):
     configuration = tmp_path / "stage.yaml"
     configuration.write_text(load_configuration("picma_stage").text)
-    assert expected in refusal(configuration, *words, "-o", tmp_path / "out.yaml")
+    assert expected in refusal("design", configuration, *words, "-o", tmp_path / "out.yaml")
     assert not (tmp_path / "out.yaml").exists()
 
 
