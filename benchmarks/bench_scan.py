@@ -14,9 +14,10 @@
 Each plant has two actuators with hysteresis and creep of other classes than the model
 (:mod:`hysteresis_ros.laboratory.foreign`), a structure with modes drawn around those of ``xy_scanner``, two modes that
 the model of an axis does not contain, cross-talk, one sample of delay, 5 nm of noise and 16-bit converters. The stage
-is identified from two recordings, orthogonal multisines of both actuators and loops of one actuator after the other
-(``hysteresis identify``). Controllers, decoupling and learning are designed from these recordings alone. Errors are
-those of the true displacement, also between the samples, against the undelayed path.
+is excited, identified, controlled and scanned as the commands do it with their defaults: ``excite`` with the recipes
+multisine and decaying, ``identify --loops --into`` a stage of devices, ``design --learning``. All that the design knows
+is in these two recordings, and in the recorded runs of the scan. Errors are those of the true displacement, also
+between the samples, against the undelayed path.
 """
 
 from __future__ import annotations
@@ -31,20 +32,15 @@ import common
 import numpy as np
 
 from hysteresis_ros.analysis.scan_report import ScanRun, scan_figures
-from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
-from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.coupling import static_decoupling
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.controller import DesignRequest, design_axis
 from hysteresis_ros.designs.coupled import Uncertainties, design_stage_learning, response_uncertainties
 from hysteresis_ros.designs.learning import LearningRequest
-from hysteresis_ros.designs.measured import entries
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage
-from hysteresis_ros.designs.stage_identification import StageRequest, identify_stage
+from hysteresis_ros.designs.stage_identification import IdentifiedStage, StageRequest, identify_stage
 from hysteresis_ros.designs.trials import FEWEST, CoupledLearning, Trial, trial
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.identification.parameter_file import SECTION
-from hysteresis_ros.identification.stage_data import StageReading, loops_of, realisations
+from hysteresis_ros.identification.stage_data import StageReading, realisations
 from hysteresis_ros.laboratory.comparison.rows import Bench
 from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
 from hysteresis_ros.loop.stage import Stage
@@ -59,37 +55,38 @@ from hysteresis_ros.recordings.dataset import Recording
 RATE, NAMES = 10e3, ("x", "y")
 T = 1.0 / RATE
 BENCH = Bench(sample_rate=RATE)
-#: Multisines of the recording. Hysteresis makes each realisation differ from the next one, and the design assumes the
-#: worst of what they leave open: with six realisations, a duhem hysteresis left 70 to 180 % open below 200 Hz.
-MULTISINES = StageExcitation("multisine", realisations=24, periods=1)
-#: Range that the stage reaches in either direction, and largest correction [m].
-RANGE = 8e-6, 48e-6
+#: Recordings of ``hysteresis excite``: recipes with their defaults.
+RECIPES = ("multisine", "decaying")
+#: Entry ``driver`` of the file of a stage of devices.
+DEVICE = "nv200"
+#: Largest correction [m], ``--maximum``.
 MAXIMUM = 15e-6
 #: Ways of control: feedback alone; feedback with the inverse of the coupled loop; learning of each axis during the run;
 #: joint learning of all axes from run to run.
 WAYS = ("feedback", "inverse", "learning", "together")
 #: Number of runs of :data:`FEWEST` periods from which the axes learn jointly before the evaluated run.
 RUNS = 4
+#: Part of the range of the identified stage over which the scans go.
+PART = 0.8
 #: Scans: kind and values, numbers of run and of evaluated periods, and targets for the error in the plane and for the
-#: coupling [% of the size]. The size of 32 µm is 80 % of the range of 40 µm. With 6 dB of gain margin and a mode at
-#: 700 Hz with damping 0.01, the bandwidth of a PI is 0.01 · 700 Hz = 7 Hz; the fastest scan has ten times this
-#: frequency.
+#: coupling [% of the size]. With 6 dB of gain margin and a mode at 700 Hz with damping 0.01, the bandwidth of a PI is
+#: 0.01 · 700 Hz = 7 Hz; the fastest scan has ten times this frequency.
 SCANS = {
     "raster, 5 Hz": (
         "raster",
-        ("width=32um", "depth=32um", "lines=32", "flyback=8", "line_rate=5Hz", "slow=ramped"),
+        ("width={size}um", "depth={size}um", "lines=32", "flyback=8", "line_rate=5Hz", "slow=ramped"),
         (2, 1),
         (0.05, 0.01),
     ),
     "spiral, 20 Hz": (
         "spiral",
-        ("diameter=32um", "turns=20", "rim=2", f"frame_rate={20.0 / 20.25!r}Hz"),
+        ("diameter={size}um", "turns=20", "rim=2", "frame_rate=" + f"{20.0 / 20.25!r}Hz"),
         (9, 1),
         (0.1, None),
     ),
     "spiral, 70 Hz": (
         "spiral",
-        ("diameter=32um", "turns=40", "rim=2", f"frame_rate={70.0 / 40.25!r}Hz"),
+        ("diameter={size}um", "turns=40", "rim=2", "frame_rate=" + f"{70.0 / 40.25!r}Hz"),
         (14, 1),
         (0.3, None),
     ),
@@ -169,67 +166,31 @@ def recorded(plant: Plant, voltages: np.ndarray, seed: int) -> StageReading:
     return StageReading(("ux", "uy"), NAMES, ((given, np.column_stack(measured)),), T, "the plant")
 
 
-def cross_talk(loops: StageReading) -> np.ndarray:
-    """Return what each sensor shows of the slow motion of each axis, shape (2, 2), from loops of one axis at a time.
-
-    Slowly the structure only adds: the motion that the other sensor shows is a fraction of that of its own.
-    """
-    found, measured = np.eye(2), loops.whole()[1]
-    for place, (first, last) in enumerate(loops_of(loops)):
-        own, other = (
-            np.convolve(one, np.full(100, 0.01), "valid") for one in measured[first:last, [place, 1 - place]].T
-        )
-        found[1 - place, place] = np.polyfit(own, other, 1)[0]
-    return found
-
-
-def identified(plant: Plant, seed: int) -> tuple[StageParameters, Uncertainties]:
-    """Return the stage that two recordings of the plant give, with its decoupling, and the uncertainty of its axes."""
+def identified(plant: Plant, seed: int) -> IdentifiedStage:
+    """Return what ``hysteresis identify multisine --loops decaying --into STAGE`` gives for a stage of devices."""
     bare = load_configuration("xy_scanner")
     readings = []
     with tempfile.TemporaryDirectory() as folder:
-        for place, asked in enumerate((MULTISINES, StageExcitation("decaying"))):
-            made = excited_stage(bare, asked, pathlib.Path(folder) / asked.name)
+        for place, name in enumerate(RECIPES):
+            made = excited_stage(bare, StageExcitation(name), pathlib.Path(folder) / name)
             readings.append(recorded(plant, made.voltages, 100 * seed + place))
-    request = StageRequest(axes=NAMES, controller="none")
-    found = identify_stage(readings[0], realisations(readings[0]), request, readings[1])
-    configuration = parse_configuration(found.text, "the identified stage")
-    known = response_uncertainties(configuration, found.parameters)
-    sensor = {"sensor__noise": 5e-9, "sensor__resolution": BENCH.resolution, "overtravel": -1.0}
-    limits = {"limits__bits": BENCH.bits, "limits__slew_rate": 70e3}
-    configuration = configuration.override("plant_simulator", **sensor, **limits)
-    configuration = configuration.override("hysteresis_compensator", **limits)
-    # references are displacements of the sensors here, without the offset of the model from the loops
-    configuration = configuration.override("motion_controller", model__preload__A1=0.0)
-    configuration = configuration.override(
-        "stage", decoupling=tuple(static_decoupling(cross_talk(readings[1])).ravel())
-    )
-    # at 0 V a displacement of up to 8 µm remains because of the hysteresis
-    place = {"minimum": RANGE[0], "maximum": RANGE[1], "initial_setpoint": 0.5 * (RANGE[0] + RANGE[1])}
-    approach = bare.node("reference_generator", "x")
-    place |= {name.replace(".", "__"): value for name, value in approach.items() if name.startswith("approach.")}
-    return StageParameters.from_configuration(configuration.override("reference_generator", **place)), known
-
-
-def controlled(parameters: StageParameters, known: Uncertainties) -> StageParameters:
-    """Return the stage with controllers designed for its models and their uncertainty."""
-    axes = []
-    for name, axis in zip(NAMES, parameters.axes, strict=True):
-        designed = design_axis(axis, DesignRequest("pid", noise=5e-9, damping="none"), known.get(name)).parameters
-        own = {name: getattr(designed, name) for name in ControllerParameters.__dataclass_fields__}
-        axes.append(replace(axis, motion_controller=replace(axis.motion_controller, **own)))
-    return replace(parameters, axes=tuple(axes))
+    # the plant takes the place of the devices, which are never opened
+    devices = bare.override("plant_simulator", driver=DEVICE)
+    return identify_stage(readings[0], realisations(readings[0]), StageRequest(), readings[1], devices)
 
 
 def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> tuple[StageParameters, Uncertainties]:
     """Return the identified stage with its controllers, from the file of an earlier run if it exists."""
     path = folder / f"identified_{seed}.yaml"
     if not path.exists():
-        parameters, known = identified(plant, seed)
-        section = {key: value for name, one in known.items() for key, value in entries(one, name).items()}
-        text = controlled(parameters, known).configuration_text() + dump_configuration({SECTION: section})
-        path.write_text(text, encoding="utf-8")
-    configuration = load_configuration(str(path))
+        found = identified(plant, seed)
+        found.save(path)
+        for name, design in found.designs.items():
+            kind = design.parameters.damping.type
+            print(f"  {name}: bandwidth {design.margins.bandwidth:.4g} Hz, damping {kind}", flush=True)
+        for warning in found.warnings:
+            print(f"  warning: {warning}", flush=True)
+    configuration = load_configuration(str(path)).override("plant_simulator", driver="")
     parameters = StageParameters.from_configuration(configuration)
     return parameters, response_uncertainties(configuration, parameters)
 
@@ -248,6 +209,7 @@ def with_learning(parameters: StageParameters, learned: dict[str, LearningParame
 def true_stage(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Stage]:
     """Return the stage with a plant instead of its models, and its parts at rest."""
     true = replace(parameters, stage=replace(parameters.stage, structure=plant.structure))
+    sensors = [replace(BENCH.node(0).sensor, seed=1 + place) for place in range(len(NAMES))]
     # one sample of delay between command and structure, independent of the identified delay
     axes = tuple(
         replace(
@@ -257,9 +219,10 @@ def true_stage(plant: Plant, parameters: StageParameters) -> tuple[StageParamete
                 dynamics=replace(axis.plant_simulator.dynamics, delay=T, sample_time=T),
                 preload=type(axis.plant_simulator.preload)(),
                 creep=replace(axis.plant_simulator.creep, type="none"),
+                sensor=sensor,
             ),
         )
-        for axis in true.axes
+        for axis, sensor in zip(true.axes, sensors, strict=True)
     )
     true = replace(true, axes=axes)
     return true, plant.installed(Stage(true))
@@ -282,8 +245,9 @@ def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) 
     instants, displacement = displacements_between(true, run, plant.installed(Stage(true)))
     scan = parameters.scan
     counts = (instants >= (periods[0] - periods[1]) * scan.period) & (instants < periods[0] * scan.period)
-    middle = np.array([axis.generator.initial_setpoint for axis in parameters.axes])[:, None]
-    reference = scan.position(instants[counts]) + middle
+    # the references of a file count from the zero that its identification found
+    middle = [a.generator.initial_setpoint + a.motion_controller.model.preload.offset for a in parameters.axes]
+    reference = scan.position(instants[counts]) + np.array(middle)[:, None]
     figures = scan_figures(ScanRun(scan, instants[counts], reference, displacement[:, counts]))
     return {
         "rms": figures["rms_error_percent"],
@@ -321,7 +285,11 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
     kinds = "/".join(actuator.hysteresis for actuator in plant.actuators)
     print(f"plant {seed} ({kinds}): identified and designed, {time.perf_counter() - begun:.0f} s", flush=True)
     rows = []
-    for name, (kind, values, periods, _) in SCANS.items():
+    size = round(
+        PART * 1e6 * min(a.reference_generator.maximum - a.reference_generator.minimum for a in parameters.axes)
+    )
+    for name, (kind, texts, periods, _) in SCANS.items():
+        values = tuple(text.format(size=size) for text in texts)
         following = parameters.following(StageScanParameters(kind, values, periods=periods[0]))
         chosen, left = {"feedback": {}}, {}
         if {"inverse", "learning"} & set(ways):

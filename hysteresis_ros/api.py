@@ -1159,7 +1159,10 @@ def scan_run(
             np.array([run[f"{name}/displacement"] for name in parameters.names]),
         )
         reference = np.array([run[f"{name}/reference"] for name in names])
-    displacement = displacement[[parameters.names.index(name) for name in names]]
+    places = [parameters.names.index(name) for name in names]
+    # references count from the zero of the controllers' models
+    zeros = np.array([parameters.axes[place].motion_controller.model.preload.offset for place in places])
+    displacement = displacement[places] - zeros[:, np.newaxis]
     ends = parameters.stage.scan.periods * scan.period or np.inf
     begins = judged_from(scan, time) if first is None else first
     there = (time >= begins - 1e-9) & (time <= last + 1e-9) & (time < ends - 1e-9)

@@ -270,6 +270,23 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     assert hr.scan_run(hr.simulate("kim2009", duration=0.02)) is None
 
 
+def test_the_zero_of_the_sensors_is_no_error_of_a_scan():
+    """References count from the zero of the controllers' models; the error does too, simulated or measured."""
+    slow = ("width=2um", "depth=2um", "lines=4", "flyback=2", "line_rate=10Hz", "slow=ramped")
+    given = with_scan(configured("xy_scanner"), "raster", slow)
+    bare = scan_figures(hr.scan_run(hr.simulate(given)))
+    zero = {"plant_simulator": {"preload__A1": 80e-9}, "motion_controller": {"model__preload__A1": 80e-9}}
+    for node, values in zero.items():
+        given = given.override(node, **values)
+    run = hr.simulate(given)
+    assert np.mean((run["y/displacement"] - run["y/reference"])[len(run) // 2 :]) == pytest.approx(80e-9, rel=0.1)
+    measured = replace(run, metadata=run.metadata | {"source": "bag"})
+    for one in (run, measured):
+        found = scan_figures(hr.scan_run(one))
+        assert found["across_error_m"] < 20e-9, "80 nm would be an offset across the lines"
+        assert found["rms_error_m"] == pytest.approx(bare["rms_error_m"], rel=0.05)
+
+
 def test_a_stage_with_hysteresis_inside_is_judged_at_its_samples():
     configuration = with_scan(
         configured("steering_mirror"), "lissajous", ("width=0.4um", "depth=0.4um", "lines=3", "frame_rate=4Hz")
