@@ -36,7 +36,7 @@ from hysteresis_ros.references.recipes import RECIPES
     "--offline", is_flag=True, help="Stage: run its blocks without ROS; --record is then an .npz, .csv or .mcap file."
 )
 @click.option(
-    "--realisations", type=int, help="Stage, multisine: number of realisations.  [default: three for each axis]"
+    "--realisations", type=int, help="Stage, multisine: number of realisations.  [default: six for each axis]"
 )
 @click.option(
     "--periods", type=int, default=2, show_default=True, help="Stage, multisine: evaluated periods of each realisation."
@@ -236,10 +236,15 @@ def _stages(axis, length: float):
     needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
-        # an upper bound, because the nodes have to start first
-        return None if needed is None else min((time.monotonic() - begun) / needed, 1.0)
+        # an upper bound, because the nodes have to start first; how long this takes is not known
+        passed = time.monotonic() - begun
+        return None if needed is None or passed > needed else passed / needed
 
-    return f"the nodes start and run {length:.4g} s", str, part
+    def state() -> str:
+        late = needed is not None and time.monotonic() - begun > needed
+        return "still running: it began later, because the first start of a version compiles the loop" if late else ""
+
+    return f"the nodes start and run {length:.4g} s", state, part
 
 
 def _of_recipe(reference) -> dict:

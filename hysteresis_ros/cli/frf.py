@@ -61,7 +61,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.option(
     "--realisations",
     type=int,
-    help="Realisations of the random phases of a multisine.  [4; stage: three for each axis]",
+    help="Realisations of the random phases of a multisine.  [4; stage: six for each axis]",
 )
 @click.option("--points", type=int, help="Number of frequencies of a stepped sine.  [40]")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of phases, omitted lines and noise.")

@@ -216,7 +216,14 @@ def _is_stage(data, loops, columns) -> bool:
     from hysteresis_ros.identification.stage_data import is_stage
 
     several = len(data) > 1 or loops is not None or max(len(columns["input_"]), len(columns["output_"])) > 1
-    return several or (columns["namespace"] is None and not columns["input_"] and is_stage(data[0]))
+    known = not columns["input_"] and is_stage(data[0])
+    if loops is not None and len(data) == 1 and data[0].exists() and not known and not columns["input_"]:
+        raise click.UsageError(
+            f"--loops is for a stage, and {data[0]} is not the recording of a stage: for a single axis give the loops "
+            "as DATA, and its dynamics afterwards (hysteresis frf, identify --into); for a stage name all columns with "
+            "--input and --output"
+        )
+    return several or (columns["namespace"] is None and known)
 
 
 def _stage(data, columns, request, loops, into, params, report_path, json_path) -> None:

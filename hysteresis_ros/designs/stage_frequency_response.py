@@ -213,8 +213,7 @@ def stage_response_run(
     rate = found.stage.sample_rate
     first = round(REST * rate) + round(WAY * rate)
     size = PERIOD if period is None else round(period * rate)
-    count = 3 * len(found.stage.names) if asked.realisations is None else asked.realisations
-    return found, Plan("multisine", first, asked.settle, asked.periods, count, (size,))
+    return found, Plan("multisine", first, asked.settle, asked.periods, asked.count(len(found.stage.names)), (size,))
 
 
 def recorded_stage_response(
@@ -296,7 +295,9 @@ def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseM
         if len(chosen) < m + held_out:
             raise DataError(
                 "short",
-                f"{len(chosen)} realisations of a level: {m} inputs and {held_out} held out need {m + held_out}",
+                f"{len(chosen)} realisations of a level: {m} inputs and {held_out} held out need {m + held_out}: "
+                "record more (hysteresis excite --realisations), hold out fewer (--held-out), or, if the recording "
+                "has more, give --period and --settle",
             )
         kept = chosen[: len(chosen) - held_out]
         matrix = response_matrix(data.u[kept], data.y[kept], data.sample_time, data.period)

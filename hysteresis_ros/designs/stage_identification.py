@@ -95,6 +95,9 @@ STEPS, LAST_STEPS = 15, 100
 RADIUS = 1.0 - 1e-5
 #: Real poles slower than this multiple of the lowest line count as creep, and not as part of the structure.
 CREEPING = 10.0
+#: Uncertainty of the response of an axis, as a part of it, that is the reason for a slow loop, at frequencies up to
+#: this multiple of its bandwidth.
+UNSURE, NEAR = 0.5, 2.0
 #: Fraction of the range of motion that the references use.
 USED = 0.95
 _HEADER = """\
@@ -911,19 +914,28 @@ def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
 
 
 def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> list[str]:
-    """Return a warning for each loop that is slower than the slowest frequency of the recording.
+    """Return a warning for each loop that is slower than the recording, or slow because its response is not known well.
 
     Units: ``noise`` [m], RMS.
     """
     found = []
     for (name, design), analysis in zip(designs.items(), analyses, strict=True):
-        lowest, bandwidth = float(analysis.response.frequency[0]), design.margins.bandwidth
-        if bandwidth < lowest:
-            reason = "" if noise is None else f"; the noise of {readable(noise, 'm')} may be the reason: give --noise"
+        response, bandwidth = analysis.response, design.margins.bandwidth
+        lowest = float(response.frequency[0])
+        near = response.frequency <= NEAR * max(bandwidth, lowest)
+        unsure, where = 0.0, lowest
+        if response.degrees is not None:
+            parts = response.radius()[near, 0, 0] / np.abs(response.single[near])
+            unsure, where = float(np.max(parts)), float(response.frequency[near][np.argmax(parts)])
+        slow = f"axis {name}: the loop has a bandwidth of {readable(bandwidth, 'Hz')} only"
+        if unsure > UNSURE:
             found.append(
-                f"axis {name}: the loop has a bandwidth of {readable(bandwidth, 'Hz')} only, below the lowest measured "
-                f"frequency of {readable(lowest, 'Hz')}{reason}"
+                f"{slow}: its response at {readable(where, 'Hz')} is known to ±{100.0 * unsure:.0f} %, and the design "
+                "assumes the worst of this: record more realisations (hysteresis excite --realisations)"
             )
+        elif bandwidth < lowest:
+            reason = "" if noise is None else f"; the noise of {readable(noise, 'm')} may be the reason: give --noise"
+            found.append(f"{slow}, below the lowest measured frequency of {readable(lowest, 'Hz')}{reason}")
     return found
 
 

@@ -319,7 +319,7 @@ class StructureEstimator:
                 raise DataError(
                     "short",
                     f"{len(chosen)} realisations of a level: {m} inputs and held_out = {self.held_out} need at least "
-                    f"{m + self.held_out}",
+                    f"{m + self.held_out}: record more, or hold out fewer",
                 )
         fitted = [chosen[: len(chosen) - self.held_out] for chosen in levels]
         judged = [chosen[len(chosen) - self.held_out :] for chosen in levels]

@@ -370,7 +370,14 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
     missing = [row.name for row in rows.values() if row.name not in values]
     if shape.extent == "amplitude" and values["amplitude"] == 0.0:
         missing.append("amplitude")
-    return [Problem(PREFIX + name, None, f"missing; {kind} needs a {rows[name].allowed()}") for name in missing]
+    found = []
+    for name in missing:
+        row = rows[name]
+        example = getattr(shape.example, name.removeprefix(f"{kind}."), None)
+        given = ",".join(f"{value:g}{row.unit}" for value in example) if isinstance(example, tuple) else ""
+        such = f", such as {given}" if given else ""
+        found.append(Problem(PREFIX + name, None, f"missing; {kind} needs {row.description}: a {row.allowed()}{such}"))
+    return found
 
 
 def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> Any:

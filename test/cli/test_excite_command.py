@@ -21,6 +21,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hysteresis_ros.cli.excite import _stages
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.reach import single_axis
@@ -132,3 +133,16 @@ def test_a_stage_that_is_too_fast_for_messages_is_excited_fused_and_refused_in_p
     assert ", fused …" in result.stdout, result.stderr
     # whether every voltage was in time is the machine's
     assert any((tmp_path / "bag").glob("*.mcap")), result.stderr
+
+
+def test_the_progress_of_an_excitation_does_not_state_that_it_is_complete_while_it_runs(monkeypatch):
+    """The loop may compile for a minute before the axis runs; the bar was full meanwhile."""
+    axis = single_axis(load_configuration("picma_stage"), None)
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    words, state, part = _stages(axis, 10.0)
+    assert words.endswith("run 10 s")
+    clock[0] += 4.0
+    assert part() == pytest.approx(0.4) and state() == ""
+    clock[0] += 30.0
+    assert part() is None and "compiles the loop" in state()

@@ -394,3 +394,11 @@ def test_identified_stage_that_comes_with_the_package_runs():
         late = slice(round((start + 0.9) * RATE), round((start + 0.99) * RATE))
         assert np.max(np.abs(signals["reference"][late] - signals["displacement"][late])) < 0.05e-6
     assert np.all((signals["voltage"] >= 0.0) & (signals["voltage"] <= 3.6))
+
+
+def test_loops_beside_the_recording_of_a_single_axis_are_refused_with_the_way_of_a_single_axis(recording, tmp_path):
+    """``--loops`` is for a stage; the message asked for columns of one."""
+    result = run("identify", str(recording), "--loops", str(recording), "-o", str(tmp_path / "out.yaml"))
+    assert result.exit_code == 2
+    assert f"--loops is for a stage, and {recording} is not the recording of a stage" in result.output
+    assert "--input and --output" in result.output and not (tmp_path / "out.yaml").exists()

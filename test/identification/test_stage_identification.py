@@ -713,7 +713,7 @@ def test_a_loop_that_is_too_sensitive_on_the_measured_response_is_warned_of(monk
 
 
 def test_a_loop_slower_than_anything_that_was_measured_is_warned_of():
-    response = SimpleNamespace(response=SimpleNamespace(frequency=np.array([2.0, 4.0, 6.0])))
+    response = SimpleNamespace(response=SimpleNamespace(frequency=np.array([2.0, 4.0, 6.0]), degrees=None))
     designs = {name: SimpleNamespace(margins=SimpleNamespace(bandwidth=f)) for name, f in (("x", 2.5), ("y", 0.009))}
     (said,) = stage_identification._too_slow(designs, [response, response], 73e-9)
     assert said.startswith(
@@ -721,6 +721,25 @@ def test_a_loop_slower_than_anything_that_was_measured_is_warned_of():
     )
     assert said.endswith("the noise of 73 nm may be the reason: give --noise")
     assert "noise" not in stage_identification._too_slow(designs, [response, response], None)[0]
+
+
+@pytest.mark.parametrize(("bandwidth", "unsure", "warned"), [(0.05, 0.8, True), (3.0, 0.8, True), (3.0, 0.4, False)])
+def test_a_loop_that_is_slow_because_its_response_is_not_known_is_answered_with_more_realisations(
+    bandwidth, unsure, warned
+):
+    """The response at 40 Hz, far above the loop, is less known still, and is not the reason."""
+    response = SimpleNamespace(
+        frequency=np.array([2.0, 4.0, 40.0]),
+        degrees=3.0,
+        single=np.ones(3),
+        radius=lambda: np.array([unsure, 0.2, 5.0])[:, np.newaxis, np.newaxis],
+    )
+    designs = {"y": SimpleNamespace(margins=SimpleNamespace(bandwidth=bandwidth))}
+    said = stage_identification._too_slow(designs, [SimpleNamespace(response=response)], 5e-9)
+    assert len(said) == warned
+    if warned:
+        assert "its response at 2 Hz is known to ±80 %" in said[0] and "--realisations" in said[0]
+        assert "noise" not in said[0]
 
 
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):

@@ -180,7 +180,7 @@ def identification_data(situation: StageSituation, recording: Recording) -> tupl
     asked = identification_excitation(situation)
     reading = reading_of(recording, "multisine.npz")
     first = round(REST * situation.rate) + round(WAY * situation.rate)
-    count = 3 * len(situation.names)
+    count = asked.count(len(situation.names))
     return reading, planned_realisations(reading, first, PERIOD, asked.settle, asked.periods, count)
 
 
