@@ -23,6 +23,8 @@ from hysteresis_ros.cli.progress import shown
 
 #: Maximum number of samples of a written path.
 MOST_SAMPLES = 20_000_000
+#: Amplitude, as a part of the size of a scan, below which a harmonic is a rounding error.
+ROUNDING = 1e-9
 
 
 class ScanName(click.ParamType):
@@ -194,9 +196,19 @@ def _lines(figures: dict[str, Any]) -> list[str]:
     names = list(figures["axes"])
     lines += ["", f"{'harmonic [Hz]':<14}" + "".join(f"{f'{name}: amplitude, phase':>26}" for name in names)]
     for one in figures["harmonics"]:
-        cells = [f"{readable(abs(complex(*one[name])), 'm')}, {_phase(complex(*one[name])):.1f}°" for name in names]
+        cells = [_amplitude(complex(*one[name]), figures["size_m"]) for name in names]
         lines.append(f"{one['frequency_hz']:<14.6g}" + "".join(f"{cell:>26}" for cell in cells))
     return lines
+
+
+def _amplitude(value: complex, size: float) -> str:
+    """Return amplitude and phase of a harmonic; rounding errors have no phase.
+
+    Units: ``size`` [m].
+    """
+    from hysteresis_ros.units import readable
+
+    return f"{readable(abs(value), 'm')}, {_phase(value):.1f}°" if abs(value) > ROUNDING * size else "0"
 
 
 def _phase(value: complex) -> float:

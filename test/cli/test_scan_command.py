@@ -121,3 +121,10 @@ def test_the_path_is_written_and_read_again(tmp_path, suffix):
 )
 def test_what_cannot_be_computed_is_refused(words, expected):
     assert expected in refusal(*words)
+
+
+def test_a_harmonic_that_an_axis_does_not_have_is_0_and_not_a_rounding_error_with_a_phase():
+    lines = run("lissajous", "width=0.4um", "depth=0.4um", "lines=5", "frame_rate=2Hz").stdout.splitlines()
+    first = next(number for number, line in enumerate(lines) if line.startswith("harmonic"))
+    rows = {line.split()[0]: line.split()[1:] for line in lines[first + 1 :]}
+    assert rows == {"4": ["0", "0.2", "µm,", "0.0°"], "5": ["0.2", "µm,", "0.0°", "0"]}
