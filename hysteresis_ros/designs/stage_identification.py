@@ -886,7 +886,9 @@ def design_identified(
             source = parse_configuration(text, "the identified stage")
             require_stable(with_designs(parameters, designs), source.source)
             warnings = _measured(designs, analyses) + _too_slow(designs, analyses, noise)
-            warnings += [f"axis {name}: {design.together}" for name, design in designs.items() if design.together]
+            # the same for all axes
+            reasons = dict.fromkeys(design.together for design in designs.values() if design.together)
+            warnings += [f"all loops together: {reason}" for reason in reasons]
             return controllers_file(source, designs, words), designs, warnings
         except (HysteresisError, ValueError) as error:
             said.append(f"{request.controller}, damping {damping or 'none'}: {error}")

@@ -762,3 +762,19 @@ def test_hr_identify_takes_several_inputs_and_outputs(truth):
     assert found.parameters.axes[0].motion_controller.type == "open_loop"
     with pytest.raises(HysteresisError, match="rank: no such option of a stage"):
         hr.identify(truth.with_name("multisine.npz"), columns=hr.StageColumns(), options={"rank": 2})
+
+
+def test_what_the_loops_need_together_is_stated_once_and_not_for_each_axis(monkeypatch):
+    design = SimpleNamespace(
+        together="the law is slower; otherwise M_s 2.4 of all loops together above 2",
+        margins=SimpleNamespace(bandwidth=100.0),
+    )
+    for name, value in (("design_controllers", dict.fromkeys("xy", design)), ("controllers_file", "text")):
+        monkeypatch.setattr(stage_identification, name, lambda *given, value=value: value)
+    for name in ("require_stable", "with_designs"):
+        monkeypatch.setattr(stage_identification, name, lambda *given: None)
+    for name in ("_measured", "_too_slow"):
+        monkeypatch.setattr(stage_identification, name, lambda *given: [])
+    given = load_configuration("xy_scanner").text
+    _, _, said = stage_identification.design_identified(given, None, StageRequest(), None, (), {})
+    assert said == [f"all loops together: {design.together}"]
