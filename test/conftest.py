@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pathlib
 
@@ -101,6 +102,16 @@ def pytest_collection_modifyitems(config, items):
     if hasattr(config, "workerinput"):
         groups = turns(list(dict.fromkeys(group_of(item.nodeid) for item in items)))
         items.sort(key=lambda item: groups.index(group_of(item.nodeid)))
+
+
+def pytest_collection_finish():
+    """Exclude all that was imported and collected from garbage collections, and collect as seldom as a command does.
+
+    A collection of half a million objects takes 0.2 s, and each graph of nodes begins with one.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, *gc.get_threshold()[1:])
 
 
 @pytest.hookimpl(optionalhook=True)
