@@ -21,6 +21,7 @@ from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import close, margins_of
 from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty, fastest_integral
+from hysteresis_ros.designs import controller as designing
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_lines, doubts, response_uncertainty
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
@@ -75,6 +76,14 @@ def radius(parameters, plant: StateSpace, step: float = STEP) -> float:
     """Return the largest modulus of the poles of the closed loop."""
     controller, _ = whole_loop(parameters, step)
     return float(np.max(np.abs(np.linalg.eigvals(close(controller, plant).A))))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_gains():
+    """Compute each gain once: the designs differ in what is known of the response, on which no gain depends."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(designing, "design_gains", functools.cache(designing.design_gains))
+        yield
 
 
 @functools.cache
