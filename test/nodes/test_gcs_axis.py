@@ -28,7 +28,7 @@ TARGET = 10.0e-6
 def axis_at(port: int):
     """An axis in open loop at a controller's port."""
     stage = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": GAIN, "limits__minimum": 0.0}
-    plant = {"driver": "gcs", "gcs__port": port, "gcs__timeout": 0.2, "gcs__safe_time": 0.02, "late_limit": -1, **stage}
+    plant = {"driver": "gcs", "gcs__port": port, "gcs__timeout": 1.0, "gcs__safe_time": 0.02, "late_limit": -1, **stage}
     overrides = {
         "plant_simulator": plant,
         "hysteresis_compensator": {"inverse__type": "none", **stage},
