@@ -256,6 +256,7 @@ def test_a_recording_without_configuration_cannot_be_simulated():
         hr.simulate(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), duration=0.01)
 
 
+@pytest.mark.slow
 def test_pages_of_all_kinds_are_written(run, tmp_path):
     pytest.importorskip("matplotlib", reason="pages have plots")
     actuator = hr.models.PrandtlIshlinskii.example()
@@ -277,12 +278,14 @@ def test_a_design_is_a_configuration(tmp_path):
     np.testing.assert_array_equal(hr.simulate(design, duration=0.01).voltage, from_file.voltage)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module, examples", [(api, 8), (designing, 9), (studies, 2), (results, 6), (swept, 4)])
 def test_examples_in_docstrings_are_true(module, examples):
     found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
     assert found.attempted >= examples and found.failed == 0
 
 
+@pytest.mark.slow
 def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
     found = hr.frequency_response("kim2009", hr.Experiment(low=20.0, high=800.0, period=0.25, realisations=2))
     measured = found.plant.response
@@ -298,6 +301,7 @@ def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
         hr.frequency_response(hr.simulate("kim2009", duration=0.01), amplitude=0.1)
 
 
+@pytest.mark.slow
 def test_a_learning_is_a_configuration():
     scan = hr.load("kim2009").override(
         "reference_generator",
@@ -375,6 +379,7 @@ def test_a_run_is_drawn(run, tmp_path, kind):
         hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loops")
 
 
+@pytest.mark.slow
 def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     snippets = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/api.md").read_text(encoding="utf-8"), re.M | re.S)

@@ -71,6 +71,7 @@ def shown():
     return {"run": run, "signals": run.between(0.0, 0.01), "design": hr.design("kim2009", "offset_free")}
 
 
+@pytest.mark.slow
 def test_what_a_notebook_shows_fits_a_cell(found, data):
     pytest.importorskip("matplotlib", reason="cells have plots")
     objects = {**shown(), "found": found, "checked": hr.validate(found, data), "data": data}
@@ -83,6 +84,7 @@ def test_what_a_notebook_shows_fits_a_cell(found, data):
     assert "bandwidth" in repr(objects["design"])
 
 
+@pytest.mark.slow
 def test_without_matplotlib_a_cell_has_no_plot(found, monkeypatch):
     for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -91,6 +93,7 @@ def test_without_matplotlib_a_cell_has_no_plot(found, monkeypatch):
         assert "<table>" in text and "<img" not in text
 
 
+@pytest.mark.slow
 def test_exchange_and_plots_are_not_loaded_before_they_are_used():
     code = "import hysteresis_ros as hr, sys; hr.simulate; print('loaded', *sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

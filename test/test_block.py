@@ -181,6 +181,7 @@ print("scipy.linalg" in sys.modules)
 """
 
 
+@pytest.mark.slow
 def test_everything_runs_without_numba():
     code = """
 import sys

@@ -172,6 +172,7 @@ def unsafe(source: str, bounded: bool) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_files_are_read_as_plain_values_everywhere():
     own = ROOT / "hysteresis_ros" / "files.py"
     found = {

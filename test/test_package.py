@@ -187,6 +187,7 @@ def test_manifest_and_setup_describe_the_same_package():
     assert manifest.find("export/build_type").text == "ament_python"
 
 
+@pytest.mark.slow
 def test_manifest_names_every_ros_package_that_is_imported():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
     named = {element.text for element in manifest.iter("exec_depend")}
@@ -444,6 +445,7 @@ def test_the_rules_of_docstrings_see_what_they_forbid():
     assert undescribed_classes(bare) == ["Law"]
 
 
+@pytest.mark.slow
 def test_words_that_are_not_ours_become_fewer():
     """An allowance in test/wording.py may be lowered, never raised."""
     assert wording.too_many(wording.counted()) == []
@@ -453,6 +455,7 @@ def test_words_that_are_not_ours_become_fewer():
     assert line.startswith(f"'{first}' stands 1000 times, ") and "Write: " in line and "docs/new.md (1000)" in line
 
 
+@pytest.mark.slow
 def test_the_laboratory_is_beside_the_core():
     """An axis runs without papers, campaigns, emulated devices and pages: a node imports none of them."""
     nodes = "motion_controller, plant_simulator, hysteresis_compensator, reference_generator, recorder, axis"

@@ -65,6 +65,7 @@ def test_nothing_but_imports_differs(cold, tmp_path):
             process.kill()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 def test_output_and_exit_code_are_those_of_a_true_start(node, tmp_path):
     if importlib.util.find_spec("rclpy") is None:

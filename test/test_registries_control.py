@@ -171,6 +171,7 @@ def compared_forms(tmp_path_factory):
     return np.load(folder / "fast.npz"), np.load(folder / "plain.npz")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 @pytest.mark.parametrize("name", [*LAWS, *WAVEFORMS])
 def test_compiled_and_as_plain_python_it_is_the_same(name, compared_forms):
@@ -178,6 +179,7 @@ def test_compiled_and_as_plain_python_it_is_the_same(name, compared_forms):
     assert fast == pytest.approx(interpreted, rel=0.0, abs=1e-12 * max(np.max(np.abs(fast)), 1e-9))
 
 
+@pytest.mark.slow
 @designs
 def test_a_design_is_stable_with_margins_and_has_the_bandwidth_asked(name):
     for asked in (None, BANDWIDTH, 2.0 * BANDWIDTH):

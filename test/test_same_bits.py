@@ -92,11 +92,13 @@ def simulated():
     return json.loads(on_processor("Haswell", SIMULATE, json.dumps(DURATIONS)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processor", [name for name in PROCESSORS if name != "Haswell"])
 def test_every_shipped_configuration_is_the_same_bits_on_every_processor(processor, simulated):
     assert json.loads(on_processor(processor, SIMULATE, json.dumps(DURATIONS))) == simulated
 
 
+@pytest.mark.slow
 def test_compiled_for_another_processor_functions_are_the_same_bits(tmp_path):
     # Numba compiles for the current processor; a generic one has no vector extensions and no fused multiply-add
     script = """
@@ -110,6 +112,7 @@ for name in ("sin", "cos", "exp", "expm1", "log", "log1p", "tanh"):
     assert on_processor("Prescott, nothing fused", script, **generic) == on_processor("Haswell", script)
 
 
+@pytest.mark.slow
 def test_designs_are_the_same_bits_on_every_processor():
     digests = {name: hashlib.sha256(on_processor(name, DESIGN).encode()).hexdigest() for name in PROCESSORS}
     assert len(set(digests.values())) == 1, digests

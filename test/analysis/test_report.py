@@ -48,6 +48,7 @@ def recording():
     )
 
 
+@pytest.mark.slow
 def test_the_report_holds_everything_in_itself(recording):
     text = render_report(recording, "my <bag>")
     names = [chart.name for chart in charts_of(judged(recording))]
@@ -80,6 +81,7 @@ def test_signals_without_values_are_not_drawn(recording):
     assert [line.get_label() for line in axis.lines] == ["displacement", "reference"]
 
 
+@pytest.mark.slow
 def test_charts_of_a_recording_without_voltage(recording):
     bare = Recording.from_columns({name: recording[name] for name in ("time", "reference", "displacement")})
     names = [chart.name for chart in charts_of(judged(bare))]

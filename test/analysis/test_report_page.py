@@ -255,6 +255,7 @@ def test_lateness_is_drawn_where_it_was_noted():
 # -- the page -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_page_says_everything_without_scripts():
     run = scan(notes=["a remark"], source="first")
     figures = compute_metrics(run)

@@ -140,6 +140,7 @@ def test_missing_samples_do_not_count_and_the_third_axis_is_apart():
         ScanRun(scan, np.zeros(5), np.zeros((3, 5)), np.full((3, 5), np.nan))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, count", [("raster", 4), ("spiral", 3)])
 def test_the_page_has_every_figure_and_needs_nothing_beside_it(kind, count, tmp_path):
     def error(time, reference):
@@ -173,6 +174,7 @@ def lissajous(error_of_x: float = 0.0) -> Recording:
     return Recording.of_axes(axes, {})
 
 
+@pytest.mark.slow
 def test_two_axes_without_a_scan_are_judged_in_their_plane(tmp_path):
     run = lissajous(3e-8)
     plane = plane_of({name: run.axis(name) for name in run.axes})

@@ -144,6 +144,7 @@ def test_an_unknown_model_is_refused_with_the_known_ones():
         load_model("narxx")
 
 
+@pytest.mark.slow
 def test_processes_give_the_rows_of_one_process(task, file):
     """Fits and predictions in worker processes are the same numbers."""
     specs = ["line", f"{file}:Exact"]
@@ -153,6 +154,7 @@ def test_processes_give_the_rows_of_one_process(task, file):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.95])
 def test_the_interval_holds_the_true_error(memory):
     """95 % of 200 seeds, also where neighbouring errors resemble each other (by counting: 88 … 99 % pass)."""
@@ -205,6 +207,7 @@ def hysteretic(samples: int, seed: int) -> IdentificationData:
     return IdentificationData(1e-3 * np.arange(samples), u, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "largest"), [("classical_pi", 0.02), ("narx", 0.2), ("gru", 0.12), ("line", 0.5)])
 def test_the_simple_models_learn_loops(model, largest):
     """Error on other loops, as a fraction of the standard deviation; play operators are learned to 2 %."""

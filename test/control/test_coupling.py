@@ -133,6 +133,7 @@ def test_margins_are_those_of_python_control(count, seed, skew):
         assert found.phase_margin == pytest.approx(phase, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 7])
 def test_the_margin_of_a_loop_is_that_of_the_loop_with_the_others_closed(seed):
     loop = random_loop(3, seed)

@@ -54,6 +54,7 @@ def test_a_design_of_a_lag_keeps_them_with_and_without_a_modelled_delay(name, de
     assert found.margins.bandwidth > 5.0
 
 
+@pytest.mark.slow
 def test_a_resonance_is_not_damped_by_a_loop_that_a_sample_of_delay_would_excite(parameters):
     """Kim's axis has 76 degrees of lag per sample at its resonance; the published filter tolerates 0.58 samples."""
     time = 1.0 / 3000.0

@@ -180,6 +180,7 @@ def test_the_coupling_of_a_table_names_the_axis_that_moves_and_the_one_that_is_m
     assert len(found) == 2 and all(line.endswith(f"% of {'xy'[1 - moved]} in {'xy'[moved]}") for line in found), found
 
 
+@pytest.mark.slow
 def test_a_correction_of_a_short_period_is_the_mean_over_the_long_one():
     """x learns over a line and y over a frame: what y does to x in a frame does not repeat in each line."""
     values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
@@ -193,12 +194,14 @@ def test_a_correction_of_a_short_period_is_the_mean_over_the_long_one():
     assert abs(np.mean(line) - np.mean(lone)) < 2e-8
 
 
+@pytest.mark.slow
 def test_the_steering_mirror_keeps_six_decibels_in_all_loops_at_once():
     parameters = StageParameters.from_configuration(load_configuration("steering_mirror"))
     together = disk_margins(stage_loop(parameters), 1.0 / 6400.0).together
     assert together.gain_margin > 6.0
 
 
+@pytest.mark.slow
 def test_loops_that_are_unstable_together_are_refused_with_a_bandwidth_that_is_stable():
     """The models of the axes of the mirror contain no modes, so its controllers can be designed far too fast."""
     configuration = load_configuration("steering_mirror")

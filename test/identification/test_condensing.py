@@ -80,6 +80,7 @@ def test_a_sweep_is_taken_whole_and_so_is_what_is_judged():
     assert len(judged) * judged.factor > 0.99 * SIZE and judged.factor > 1
 
 
+@pytest.mark.slow
 def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
     lag = 0.01
     voltage = sine()[: SIZE // 2]

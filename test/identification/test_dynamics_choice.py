@@ -147,6 +147,7 @@ def test_the_delay_of_two_modes_behind_a_lag_is_within_its_interval():
     assert np.all(np.abs(errors) < 3.0)
 
 
+@pytest.mark.slow
 def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
     truth = {"lag": 1e-3, "delay": 0.75 / RATE, "mode_1_hz": 280.0, "mode_1_damping": 0.03}
     part = LinearPart(lag=1e-3, delay=0.75 / RATE, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)

@@ -95,6 +95,7 @@ def test_no_mode_is_found_in_what_a_hysteresis_adds():
     assert not choose_dynamics(segment_spectra(1.2e-7 * voltage, measured, 0.5 / RATE, 100)).part.modes
 
 
+@pytest.mark.slow
 def test_a_mode_is_dropped_alone_when_its_frequency_is_not_accepted():
     plant = ForeignPlant(RATE, hysteresis=0.0, modes=((180.0, 0.02, 1.0),), noise=2e-9)
     voltage = loops_then_chirp(3.0)

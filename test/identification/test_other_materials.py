@@ -289,6 +289,7 @@ def test_units_of_input_and_output_are_kept_to_the_end(tmp_path):
         validate(tmp_path / "axis.yaml", bender(clip=None))
 
 
+@pytest.mark.slow
 def test_the_page_has_the_units_of_the_recording(tmp_path):
     pytest.importorskip("matplotlib")
     from hysteresis_ros.analysis.identification_report import (

@@ -76,6 +76,7 @@ def test_a_rest_that_explains_the_beginning_keeps_the_first_rise():
     assert far_off(identify(remanent, "bouc_wen", linear="none", initial="estimate")) < 0.02
 
 
+@pytest.mark.slow
 def test_the_highest_voltage_of_the_past_decides_the_polynomial_branches():
     block = MODELS["polynomial"].block(MODELS["polynomial"].example, STEP)
     pass_through(block, (80.0, 0.0))

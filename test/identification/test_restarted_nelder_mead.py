@@ -111,6 +111,7 @@ def test_bad_recordings_are_refused_and_budgets_reported():
     assert not short.converged and any("not converged after 20" in warning for warning in short.warnings)
 
 
+@pytest.mark.slow
 def test_starts_shared_by_processes_take_the_same_paths():
     here, there = (
         restarted_nelder_mead(np.linalg.norm, [1.0, -2.0], settings=SimplexSettings(starts=3, workers=workers))

@@ -236,6 +236,7 @@ def linear():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_linear_stage_is_found_again(linear, which):
     found = linear[which]
@@ -251,6 +252,7 @@ def test_a_linear_stage_is_found_again(linear, which):
     np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 2e-9])
 def test_a_stage_without_dynamics_gets_controllers_for_its_delay(noise):
     """Such is the simulated plant of a new stage; a model of order 2 has states that cannot be controlled."""
@@ -283,6 +285,7 @@ def response_error(found) -> float:
     return float(np.sqrt(np.mean(np.abs(found.structure - plant().frequency_response(frequency))[low] ** 2)))
 
 
+@pytest.mark.slow
 def test_a_measured_response_matrix_replaces_that_of_a_noisy_recording(tmp_path):
     """The recording has 100 nm of noise, and the matrix 2 nm; the noise of the sensor is that of the recording."""
     matrix = tmp_path / "matrix.npz"
@@ -375,6 +378,7 @@ def test_the_noise_that_was_measured_at_rest_is_that_of_the_file():
     assert [axis.plant_simulator.sensor.noise for axis in found.parameters.axes] == [2e-9, 3e-9]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "borne"), [(1.0, 1.0), (1.5, 1.5)])
 def test_a_gain_that_the_loops_do_not_show_is_borne_by_the_design(times, borne):
     """A hysteresis of another class gives fast, small movements another gain than that of the slow loops."""
@@ -450,6 +454,7 @@ def test_requests_that_fit_no_stage_are_refused(request_, words):
         identify_stage(reading, realisations(reading), StageRequest(**request_))
 
 
+@pytest.mark.slow
 def test_files_of_a_stage_are_refused_by_name(tmp_path):
     u = excitation()
     y = recorded(u).runs[0][1]
@@ -515,6 +520,7 @@ def test_one_axis_after_the_other_goes_through_its_range(truth):
         loops_of(read_stage(truth.with_name("multisine.npz")))
 
 
+@pytest.mark.slow
 def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(truth):
     """Recorded, identified by the command, controlled on the true plant: hysteresis and 5 % cross-talk are removed."""
     closed, figures = truth.with_name("closed.yaml"), truth.with_name("figures.json")
@@ -574,6 +580,7 @@ def test_the_multisines_of_a_stage_leave_no_frequency_unknown(tmp_path):
     assert MeasuredPlant(frequency[:-1], exact[:-1], np.zeros(998)).uncertainty(exact[:-1], STEP).known_to < 5000.0
 
 
+@pytest.mark.slow
 def test_the_page_without_periods_loops_and_controllers_has_what_is_known(linear, tmp_path):
     found = linear[1]
     names = found.parameters.names

@@ -204,6 +204,7 @@ def test_loops_of_one_size_are_seen():
     assert [simple_loops(size) for size in sizes] == [True, False, False]
 
 
+@pytest.mark.slow
 def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
     def doubt(voltage, truth):
         y = hysteresis_block(stack(truth), T).simulate(voltage) + 50e-9 * np.random.default_rng(0).standard_normal(800)

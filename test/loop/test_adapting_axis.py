@@ -40,6 +40,7 @@ def factors(axis) -> np.ndarray:
     return np.array(axis.compensator.adaptation.factors)
 
 
+@pytest.mark.slow
 def test_the_error_falls_to_what_a_true_model_leaves():
     axis, fixed = Axis(adapting()), Axis(adapting({"adaptation__type": "none"}))
     made, plain = run(axis, 12000), run(fixed, 12000)
@@ -56,6 +57,7 @@ def _identified():
     return adapting().hysteresis_compensator.hysteresis.prandtl_ishlinskii.weights
 
 
+@pytest.mark.slow
 def test_an_axis_without_feedback_keeps_its_place_or_goes_where_it_is_measured():
     """The model's offset is wrong by 1 µm, and the plant's gain drifts: tested on the mean of the displacement."""
     means = []

@@ -88,6 +88,7 @@ def test_other_compensators_too(overrides):
     assert_each_is_the_axis_alone(differing(one, 3), setpoints_within(one, 3, 200))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_controller_too(name):
     one = parameters(**HOLD)
@@ -307,6 +308,7 @@ def test_an_array_without_an_end_needs_samples():
     assert hr.axis_array(config, 2).run(samples=3).voltage.shape == (2, 3)
 
 
+@pytest.mark.slow
 def test_the_page_about_many_axes_runs():
     text = (pathlib.Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
     snippets = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)

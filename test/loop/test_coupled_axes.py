@@ -26,6 +26,7 @@ def run():
     return coupled_run(1500, COUPLING)
 
 
+@pytest.mark.slow
 def test_two_coupled_axes_are_one_function_with_the_bits_of_its_python_form(run, tmp_path):
     expected = interpreted("coupled_support", f"coupled_run(1500, {COUPLING})", tmp_path)
     np.testing.assert_array_equal(run.view(np.int64), expected.view(np.int64))

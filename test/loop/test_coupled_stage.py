@@ -229,6 +229,7 @@ def test_three_axes_that_do_not_couple_are_the_axes_that_they_are_alone():
         assert_same_bits(alone.run(setpoints[name]), found[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "expression", ["whole_run(400)", "internal_run(400)", "adapting_run(400)", "whole_run(400, **fed())"]
 )

@@ -98,6 +98,7 @@ for name in ("kim2009", "inchworm_travel"):
 """
 
 
+@pytest.mark.slow
 def test_without_numba_the_same_loop_runs_interpreted():
     command = [sys.executable, "-c", INTERPRETED, os.path.dirname(__file__)]
     given = os.environ | {"NUMBA_DISABLE_JIT": "1"}

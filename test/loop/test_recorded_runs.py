@@ -1514,11 +1514,13 @@ def made() -> dict[str, Any]:
     return interpreted()
 
 
+@pytest.mark.slow
 def test_every_run_has_its_recorded_bits(made):
     differing = changed(json.loads(RECORDED.read_text(encoding="utf-8")), made["runs"])
     assert not differing, "results changed; if on purpose, renew the file (see the module):\n" + "\n".join(differing)
 
 
+@pytest.mark.slow
 def test_other_processors_give_the_recorded_bits():
     from processors_support import PROCESSORS  # the path of the tests is pytest's
 

@@ -517,6 +517,7 @@ def test_harmonics_need_a_number():
         harmonics(made("rosette"), 0)
 
 
+@pytest.mark.slow
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = pathlib.Path(__file__).resolve().parents[2] / "docs" / "scans.md"

@@ -60,6 +60,7 @@ def test_what_would_be_done_is_listed():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")
 def test_a_stopped_process_is_judged_and_written_down(tmp_path):
     page = tmp_path / "reliability.md"
@@ -71,6 +72,7 @@ def test_a_stopped_process_is_judged_and_written_down(tmp_path):
     assert "| held: " in row and "step 1.00" in row and "back after" in row
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")
 def test_a_node_is_lost_at_the_rate_that_was_asked_for(tmp_path):
     figures = tmp_path / "figures.json"

@@ -174,6 +174,7 @@ def crossover_of(parameters) -> float:
     return float(frequencies[np.flatnonzero(gain >= 1.0)[-1]])
 
 
+@pytest.mark.slow
 def test_a_bandwidth_that_needs_a_roll_off_gets_one():
     """A pid cancels one of two light modes, and the other one limits its M_s long before this bandwidth."""
     light = axis(STEP, Mode(250.0, 0.005), Mode(400.0, 0.003))
@@ -189,6 +190,7 @@ def test_a_bandwidth_that_needs_a_roll_off_gets_one():
     assert design_axis(light, DesignRequest("pid")).margins.bandwidth == pytest.approx(most, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_no_loop_is_faster_than_a_recording_that_rings_permits(controller):
     known = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, crossover=8.4)
@@ -295,6 +297,7 @@ def unseen_plants(late: float = 0.0):
         yield float(frequency), held(part.dynamics(STEP), 1.0)
 
 
+@pytest.mark.slow
 def test_a_roll_off_gives_a_crossover_that_an_integrator_alone_does_not_have(rolled):
     alone = fastest_integral(whole_loop(rolled.parameters, STEP)[1], STEP, PARTLY)
     assert rolled.parameters.pid.roll_off > 0.0 and crossover_of(rolled.parameters) > 5.0 * alone > 1.0
@@ -325,6 +328,7 @@ def test_the_rolled_off_loop_stays_bounded_in_the_time_domain(rolled):
     assert max(late) < 2.0, late
 
 
+@pytest.mark.slow
 def test_a_gain_of_small_loops_that_may_be_higher_keeps_the_margins():
     text = WRITTEN % ", fit_for_feedback: true" + "    metrics: {small_loop_gain_high_percent: 100.0}\n"
     known = response_uncertainty(parse_configuration(text, "axis"))
@@ -346,6 +350,7 @@ def test_loops_on_modes_that_were_not_seen_stay_bounded(designs):
             assert max(late) < 2.0, f"{name}: {late}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pid", "integral_smc"])
 def test_loops_on_modes_just_below_half_the_sample_rate_stay_bounded(controller):
     design = design_axis(axis(), DesignRequest(controller), FAST)

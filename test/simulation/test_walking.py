@@ -32,6 +32,7 @@ def test_what_is_learned_at_one_speed_is_used_at_another():
     assert abs(after.speed_error) < 4e-3 < abs(before.speed_error)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 @pytest.mark.parametrize(("kick", "factors"), [(0.0, {2.0: 12.0, 4.0: 3.5}), (1.0e-9, {2.0: 4.0, 4.0: 1.4})])
 def test_the_motor_that_improves_least_is_nearer_to_its_path_at_speeds_that_were_not_learned(kick, factors):

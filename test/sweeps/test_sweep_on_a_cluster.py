@@ -55,6 +55,7 @@ def workers(tmp_path):
             process.wait()
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_finds_what_one_core_does(workers, tmp_path, monkeypatch):
     address, processes = workers
     monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 10)
