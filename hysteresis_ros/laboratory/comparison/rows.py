@@ -368,7 +368,9 @@ def identified(recording: Recording, bench: Bench) -> Known:
     found = identify(recording)
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
-    return known(configuration.override("hysteresis_compensator", **limits), bench.bits)
+    configuration = configuration.override("hysteresis_compensator", **limits)
+    # a jump to the first reference would reach the slew rate, and is no part of a task
+    return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits)
 
 
 def conditions_bench(conditions: Conditions) -> Bench:
