@@ -339,7 +339,9 @@ def main() -> int:
         common.require_compiled()
         with tempfile.TemporaryDirectory() as folder:
             for seed in range(*map(int, arguments.plants.split(":"))):
-                new = measured(seed, pathlib.Path(folder), pathlib.Path(arguments.models or folder), ways)
+                models = pathlib.Path(arguments.models or folder)
+                models.mkdir(parents=True, exist_ok=True)
+                new = measured(seed, pathlib.Path(folder), models, ways)
                 rows += new
                 if arguments.rows:
                     with pathlib.Path(arguments.rows).open("a", encoding="utf-8") as stream:
