@@ -77,7 +77,8 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     # one sample, half a sample because the voltage is held, and the contribution of the mode
     assert figures["resonance"]["delay_s"] == pytest.approx(1.5 / RATE, rel=0.15)
     assert figures["identify"]["mode_1_hz"] == pytest.approx(420.0, rel=2e-3)
-    assert figures["identify"]["delay_s"] == pytest.approx(1.0 / RATE, rel=0.05)
+    # a lag of a few hundredths of a sample is not distinguished from a delay
+    assert figures["identify"]["delay_s"] + figures["identify"].get("lag_s", 0.0) == pytest.approx(1.0 / RATE, rel=0.05)
     # without removal of the delay it would be 0.33 µm; minor loops of the stage are steeper than those of the model
     assert figures["identify"]["rmse_m"] < 0.31e-6
     residual = next(one for one in situation.found["identify"].pictures if "Residual" in one.caption)

@@ -116,7 +116,12 @@ def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_rep
 def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end(processes, tmp_path):
     rate = 40.0  # late messages have less effect on the agreement
     axis = tmp_path / "slow.yaml"
-    axis.write_text(AXIS.replace("sample_rate: 100.0", f"sample_rate: {rate}"))
+    patient = AXIS.replace("sample_rate: 100.0", f"sample_rate: {rate}")
+    # a busy machine may be silent for longer than a run tolerates
+    patient = patient.replace("{type: open_loop}", "{type: open_loop, measurement_timeout: 5.0}")
+    patient = patient.replace("    inverse: {type: none}", "    command_timeout: 5.0\n    inverse: {type: none}")
+    assert patient.count("timeout: 5.0") == 2
+    axis.write_text(patient)
     stage(processes, rate)
     bag = tmp_path / "bag"
     drive = "excite", str(axis), "--recipe", "decaying", "--duration", "8", "--frequency", "1", "--plant", "external"
