@@ -49,6 +49,7 @@ from hysteresis_ros.references.trajectory import (
     note_motion,
 )
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+from hysteresis_ros.units import readable
 
 #: Parameters and state of the range: FADE is the difference between the held reference and the setpoint at a start with
 #: an unlimited approach. It fades out over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes through an
@@ -259,9 +260,10 @@ class ReferenceGenerator(Chain):
             if not low - tolerance <= value <= high + tolerance:
                 kind, name = parameters.waveform.type, parameters.waveform.shape.extent
                 given = parameters.waveform.to_mapping()[name]
+                around, reached, least, most = (readable(one, "m") for one in (setpoint, value, low, high))
                 text = (
-                    f"the waveform {kind} around the setpoint {setpoint:g} m reaches {value:g} m, allowed: "
-                    f"{low:g} … {high:g} m (minimum … maximum); change amplitude, offset or values, or widen the range"
+                    f"the waveform {kind} around the setpoint {around} reaches {reached}, allowed: "
+                    f"{least} … {most} (minimum … maximum); change amplitude, offset or values, or widen the range"
                 )
                 raise ParameterError([Problem(f"waveform.{name}", given, text)])
         return waveform

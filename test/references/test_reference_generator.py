@@ -167,7 +167,7 @@ def test_waveform_that_leaves_the_range_is_refused_with_value_and_range(mapping,
         build(mapping)
     (problem,) = error.value.problems
     assert problem.name == name
-    assert "0 … 1.5e-05 m" in problem.remedy
+    assert "0 µm … 15 µm (minimum … maximum)" in problem.remedy
 
 
 def test_wrong_ranges_are_refused():
