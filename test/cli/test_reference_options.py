@@ -32,7 +32,7 @@ def test_a_simulated_axis_follows_what_was_asked_for(tmp_path):
 
 REFUSED = [
     (["--reference", "trinagle"], "--reference = 'trinagle'", "did you mean triangle?"),
-    (["--reference", "triangle", "--amplitude", "70um"], "--amplitude = '70um'", "allowed: 0 … 1.2e-05 m"),
+    (["--reference", "triangle", "--amplitude", "70um"], "--amplitude = '70um'", "allowed: 0 µm … 12 µm"),
     (["--reference", "sine", "--amplitude", "1um", "--offset", "99um"], "--amplitude = '1um'", "reaches"),
     (["--reference", "hold", "--offset", "99um"], "--offset = '99um'", "reaches"),
     (["--reference", "sine", "--amplitude", "1um", "--offset", "2um", "--frequency", "2kHz"], "--frequency", "1500 Hz"),
