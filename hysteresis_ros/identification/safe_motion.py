@@ -37,6 +37,7 @@ import yaml
 
 from hysteresis_ros.configuration import dump_configuration, matches, normalised_namespace, parse_configuration
 from hysteresis_ros.control.damping.inner_loop import modes
+from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import eigenvalues
@@ -171,8 +172,8 @@ def with_safe_motion(
     if configuration.stage is not None and "approach.from_rest" not in reference:
         why = "the first motion, from rest to the initial setpoint, keeps the limits too"
         text = _with_values(text, "reference_generator", namespace, "approach", {"from_rest": (True, why)})
-    inverts = nodes["motion_controller"].get("feedforward.type") in ("velocity", "inverse_dynamics")
-    if inverts and not reference.get("approach.steps", False):
+    feedforward = FeedforwardParameters(type=str(nodes["motion_controller"].get("feedforward.type", "none")))
+    if feedforward.inverts and not reference.get("approach.steps", False):
         why = "steps of a waveform keep the limits too: the feedforward inverts the dynamics"
         text = _with_values(text, "reference_generator", namespace, "approach", {"steps": (True, why)})
     if any(float(reference.get(f"approach.{name}", 0.0)) > 0.0 for name in APPROACH):
