@@ -594,8 +594,8 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     return text
 
 
-#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model: the model then
-#: overshoots a move by at most 1/(2 SMOOTH²), 1 %.
+#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model: a lag or a delay
+#: then overshoots a move by about 1/(2 SMOOTH²), 1 %, at most; a light resonance adds what it has without feedforward.
 SMOOTH = 7.0
 
 
