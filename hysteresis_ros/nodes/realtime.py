@@ -285,6 +285,8 @@ class RealTimeResponder(RealTime):
             self._coming.add(partner)
         if state == STARTED and partner == PLANT:
             self._going = UNDER_WAY
+            # a plant that stops and is started again within one sample sends no measurement that shows the stop
+            self._has_tripped = bool(self.latched)
         if state in (HERE, LOST, HEARD):
             self._known.add(partner if state == HERE else reporter)
 

@@ -21,7 +21,9 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, write_axis  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 
+from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.nodes import realtime  # noqa: E402
 from hysteresis_ros.nodes.realtime import GIVE_UP, SUSPICION, AwakeTime, Follower, RealTimeResponder  # noqa: E402
 from hysteresis_ros.nodes.responder import Input  # noqa: E402
@@ -313,3 +315,33 @@ def test_a_measurement_with_an_old_stamp_is_rejected_and_answered_all_the_same()
     for sample in (1, 2, 3, 2, 4):
         runner.measurement(measurement(sample))
     assert node.rejected == 1 and math.isnan(node.answers[-2][1]) and node.answers[-1][1] == 4.0
+
+
+@pytest.mark.parametrize("started_between_samples", [True, False])
+@pytest.mark.parametrize("returned", [True, False])
+def test_a_node_that_lost_a_partner_resumes_although_the_plant_was_started_before_a_measurement_showed_the_stop(
+    started_between_samples, returned
+):
+    node = Node()
+    node.row = [0.0] * len(signals.SIGNALS)
+    node.publisher = lambda *_: SimpleNamespace(publish=said.append)
+    node.kind, node.warn = "hysteresis_compensator", lambda *_, **__: None
+    node.qos, node.subscriber, said = None, lambda *_: None, []
+    runner = RealTimeResponder(node)
+    runner.connect()
+    runner._lose("motion_controller", "/axis/motion_controller", "a new process has replaced it")
+    if returned:
+        runner._note(1, "motion_controller")
+        runner._look_for_losses(0.0)
+    if started_between_samples:
+        runner._on_presence(String(data="started plant_simulator"))
+    runner.follow_trip(False)
+    assert bool(runner.latched) is not (started_between_samples and returned)
+    if not (started_between_samples and returned):
+        assert not returned or not runner._lost  # without a start it stays safe
+        said.clear()
+        runner.follow_trip(True)
+        runner._note(1, "motion_controller")
+        runner._look_for_losses(0.0)
+        runner.follow_trip(False)
+        assert not runner.latched and said[0].data.split()[0] == ("here" if returned else "heard")
