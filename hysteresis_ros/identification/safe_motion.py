@@ -172,9 +172,8 @@ def with_safe_motion(
     if configuration.stage is not None and "approach.from_rest" not in reference:
         why = "the first motion, from rest to the initial setpoint, keeps the limits too"
         text = _with_values(text, "reference_generator", namespace, "approach", {"from_rest": (True, why)})
-    feedforward = FeedforwardParameters(type=str(nodes["motion_controller"].get("feedforward.type", "none")))
-    if feedforward.inverts and not reference.get("approach.steps", False):
-        why = "steps of a waveform keep the limits too: the feedforward inverts the dynamics"
+    why = _reason_for_smooth_steps(nodes["motion_controller"], reference)
+    if why:
         text = _with_values(text, "reference_generator", namespace, "approach", {"steps": (True, why)})
     if any(float(reference.get(f"approach.{name}", 0.0)) > 0.0 for name in APPROACH):
         return text
@@ -193,6 +192,17 @@ def with_safe_motion(
     limits = safe_approach(rate, span, stroke, resonance)
     chosen = dict(zip(APPROACH, zip(limits, words, strict=True), strict=True))
     return _with_values(text, "reference_generator", namespace, "approach", chosen)
+
+
+def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
+    """Return why steps of a waveform keep the limits of the approach, too; empty: they need not, or already do."""
+    feedforward = FeedforwardParameters(type=str(controller.get("feedforward.type", "none")))
+    keeps = "steps of a waveform keep the limits too"
+    if feedforward.inverts and not reference.get("approach.steps", False):
+        return f"{keeps}: the feedforward inverts the dynamics"
+    # a fast loop with a limited slew rate can oscillate from limit to limit after a jump, with all of its margins
+    closed = str(controller.get("type", "open_loop")) != "open_loop"
+    return f"{keeps}: a jump exceeds the slew rate" if closed and "approach.steps" not in reference else ""
 
 
 def with_comments(text: str, commented: str) -> str:

@@ -85,10 +85,10 @@ FLEXURE = f"""\
 """
 
 
-def designed(text: str, **asked) -> str:
-    """Return the file of a PID with feedforward."""
+def designed(text: str, controller: str = "pid", **asked) -> str:
+    """Return the file of a design."""
     configuration = parse_configuration(text, "stage.yaml")
-    result = design_axis(single_axis(configuration), DesignRequest("pid", **asked))
+    result = design_axis(single_axis(configuration), DesignRequest(controller, **asked))
     return design_file(configuration, result, "")
 
 
@@ -120,6 +120,7 @@ def test_the_largest_step_of_a_shipped_stage_is_within_what_its_file_states(name
             assert largest > 0.0 or other != moved
 
 
+@pytest.mark.slow
 def test_a_designed_stage_states_limits_from_the_lowest_mode_of_its_structure():
     text = load_configuration("xy_scanner").text
     bare = re.sub(r"^ +slew_rate: .*\n|^    approach:.*\n(?:      .*\n)+", "", text, flags=re.MULTILINE)
@@ -138,6 +139,7 @@ def test_a_designed_stage_states_limits_from_the_lowest_mode_of_its_structure():
         assert 2.0 * approach.maximum_velocity / approach.maximum_acceleration == pytest.approx(1 / 700.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_designed_stage_begins_at_rest_unless_its_file_says_otherwise():
     """A single axis is not changed; an axis that no controller was designed for belongs to the stage too."""
     configuration = load_configuration("xy_scanner")
@@ -184,6 +186,7 @@ def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_
     assert [line.split("  ")[0] for line in step_lines(text, None, True)] == [row[0] for row in found.rows()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "preview"), [("steps", None), ("square", None), ("square", 0)])
 def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoints_do(shape, preview):
     configuration = parse_configuration(designed(FLEXURE, feedforward=True, preview=preview), "designed.yaml")
@@ -193,16 +196,38 @@ def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoint
     # without the approach they overshot by 18 %, and the slew rate saturated
     assert np.max(run["displacement"]) < 1.01 * 30e-6 and np.max(np.abs(np.diff(run["voltage"]))) < 0.5 * 28.5
     assert "approach" not in FLEXURE and configuration.node("reference_generator")["approach.steps"] is True
-    # a file with its own approach keeps it, and so does one without feedforward
+    # a file with its own approach keeps it
     own = FLEXURE.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_velocity: 0.01}\n")
-    for text, fed in ((own, True), (FLEXURE, False)):
-        stated = parse_configuration(designed(text, feedforward=fed), "own.yaml").node("reference_generator")
-        assert stated.get("approach.steps", False) is fed
+    stated = parse_configuration(designed(own, feedforward=True), "own.yaml").node("reference_generator")
+    assert stated["approach.steps"] is True and stated["approach.maximum_velocity"] == 0.01
     bare = configuration.override("reference_generator", **waveform, **{"approach.steps": False})
     with pytest.raises(ParameterError, match=r"set approach\.steps: true"):
         single_axis(bare)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", ["pid", "offset_free"])
+def test_generated_steps_of_a_closed_loop_do_not_reach_the_slew_rate(controller):
+    """At the slew rate a fast loop can oscillate from limit to limit, with all of its margins."""
+    configuration = parse_configuration(designed(FLEXURE, controller), "designed.yaml")
+    assert configuration.node("reference_generator")["approach.steps"] is True
+    square = {"waveform.type": "square", "waveform.amplitude": 95e-6, "waveform.frequency": 5.0}
+    configuration = configuration.override("reference_generator", **square)
+    slew = single_axis(configuration).plant_simulator.limits.slew_rate / 2000.0
+    largest = {
+        kept: np.max(np.abs(np.diff(simulate(single_axis(chosen), duration=0.3, describe=False)["voltage"])))
+        for kept in (True, False)
+        for chosen in [configuration.override("reference_generator", **{"approach.steps": kept})]
+    }
+    assert largest[True] < 0.8 * slew and largest[False] > 0.99 * slew
+    # a file that states its own choice keeps it, and so does an open loop
+    own = FLEXURE.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {steps: false}\n")
+    assert parse_configuration(designed(own), "own.yaml").node("reference_generator")["approach.steps"] is False
+    opened = parse_configuration(with_safe_motion(FLEXURE, "open loop"), "open loop")
+    assert "approach.steps" not in opened.node("reference_generator")
+
+
+@pytest.mark.slow
 def test_moves_are_smooth_enough_for_feedforward_by_velocity():
     """A setpoint is followed without delay and hardly overshot, and a slow sine with a fraction of the error."""
     text = designed(FLEXURE, feedforward=True, preview=0)
@@ -227,6 +252,7 @@ def test_moves_are_smooth_enough_for_feedforward_by_velocity():
     assert kept["approach.maximum_acceleration"] == kept["approach.maximum_jerk"] == 1e-4
 
 
+@pytest.mark.slow
 def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused(tmp_path):
     slow = FLEXURE.replace("maximum: 150.0}", "maximum: 150.0, slew_rate: 2000.0}")
     slow = slow.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_velocity: 0.01}\n")
