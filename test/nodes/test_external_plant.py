@@ -65,11 +65,12 @@ def test_what_it_says_that_it_put_out_is_the_voltage_of_the_recording(processes,
 
     stage(processes, RATE, "30.0")
     joints = observer.listen(JointState, "/joint_states")
+    voltages = observer.listen(Float64, "/voltage")
     until(lambda: joints, what="the stage")
     bag = tmp_path / "bag"
     up = processes.command("up", axis, "--plant", "external", "--record", str(bag), "--processes")
     setpoint = observer.talk(Float64, "/setpoint")
-    until(lambda: setpoint.get_subscription_count() == 2, what="generator and recorder")
+    until(lambda: voltages and setpoint.get_subscription_count() == 2, what="generator and recorder")
     since = len(joints)
     until(lambda: len(joints) > since + 200, what="a run that has begun")
     setpoint.publish(Float64(data=5.0e-6))  # corresponds to 50 V
