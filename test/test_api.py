@@ -270,6 +270,7 @@ def test_pages_of_all_kinds_are_written(run, tmp_path):
         assert figures and "</html>" in (tmp_path / f"{name}.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_design_is_a_configuration(tmp_path):
     design = hr.design("kim2009", "offset_free", bandwidth=200.0)
     assert "bandwidth reached" in str(design) and design.margins.stable
@@ -328,6 +329,7 @@ def test_a_sweep_says_how_many_meet_a_bound(tmp_path):
         hr.sweep("kim2009", ["plant_simulator.sensor.nois=1nm,2nm"], duration=0.02)
 
 
+@pytest.mark.slow
 def test_changes_of_a_configuration_are_in_what_is_designed_from_it():
     changed = hr.load("kim2009").override("plant_simulator", sensor__noise=7e-9)
     design = hr.design(changed, "offset_free", bandwidth=200.0)

@@ -115,6 +115,7 @@ def test_lengths_and_whole_numbers_are_the_words_too():
 POSITIVE = st.floats(1e-12, 1e12)
 
 
+@pytest.mark.slow
 @given(low=POSITIVE, high=POSITIVE, relative=st.booleans(), thousandths=st.integers(1, 99_999))
 def test_every_range_is_read_back_from_what_it_writes(low, high, relative, thousandths):
     assume(low < high)

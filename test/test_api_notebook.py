@@ -34,6 +34,7 @@ def found(data):
     return hr.identify(data, linear="none", options={"play_count": 6, "zone_count": 0}, skip=0)
 
 
+@pytest.mark.slow
 def test_a_model_is_validated_without_a_file_between(found, data, tmp_path):
     found.save(tmp_path / "axis.yaml")
     direct, written = hr.validate(found, data), hr.validate(tmp_path / "axis.yaml", data)

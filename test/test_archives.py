@@ -62,6 +62,7 @@ def test_a_head_is_not_believed_without_content(shape, tmp_path):
         read_array(tmp_path / "a.npy")
 
 
+@pytest.mark.slow
 def test_an_archive_that_unpacks_to_far_more_than_its_size_is_refused(tmp_path):
     path = archive(tmp_path / "a.npz", {"a.npy": npy(np.zeros(9 << 20))}, zipfile.ZIP_DEFLATED)
     with pytest.raises(ArchiveError, match="would unpack to 75497600 bytes"):

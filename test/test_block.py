@@ -119,6 +119,7 @@ def lag_result(form):
     return y.tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is compiled")
 def test_what_compiled_code_names_is_compiled_once_and_not_for_python(monkeypatch):
     monkeypatch.setitem(block._OPTIONS, "cache", False)
@@ -203,6 +204,7 @@ print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
     assert float.fromhex(plain[2]) == pytest.approx(float.fromhex(fast[2]), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is cached")
 def test_old_caches_are_removed_and_recent_ones_kept(tmp_path):
     root = tmp_path / "hysteresis_ros"

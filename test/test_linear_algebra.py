@@ -85,6 +85,7 @@ def distance(found, expected) -> float:
     return max(gaps.min(axis=0).max(), gaps.min(axis=1).max())
 
 
+@pytest.mark.slow
 @given(A=square(largest=9), spread=st.integers(0, 20))
 def test_eigenvalues_are_those_of_lapack_or_those_of_a_neighbour(A, spread):
     scale = 2.0 ** np.linspace(0, spread, len(A)).round()
@@ -133,6 +134,7 @@ def regulator_problem(draw):
     return A * units / units[:, None], B / units[:, None], Q, np.array([[10.0 ** draw(st.floats(-4.0, 4.0))]])
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(problem=regulator_problem())
 def test_riccati_solutions_are_those_of_scipy(problem):

@@ -469,6 +469,7 @@ print(*[name for name in sys.modules if name.startswith("hysteresis_ros.laborato
     assert answer.stdout.split() == []
 
 
+@pytest.mark.slow
 def test_a_node_imports_no_more_than_it_needs():
     """Memory is limited: SciPy's signal and optimisation, plots and the command line are not imported by nodes."""
     modules = "sys, hysteresis_ros.loop.axis, hysteresis_ros.loop.parameters"

@@ -119,6 +119,7 @@ def test_parameters_built_in_python_are_checked_alike():
     assert issubclass(ParameterError, HysteresisError) and issubclass(HysteresisError, ValueError)
 
 
+@pytest.mark.slow
 @given(
     st.floats(0.0, 1e9),
     st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5),

@@ -48,6 +48,7 @@ def imports_everything(process: subprocess.Popen) -> bool:
     return pathlib.Path(preloaded_support.__file__).name in pathlib.Path(words[1]).name
 
 
+@pytest.mark.slow
 def test_nothing_but_imports_differs(cold, tmp_path):
     environment = {**os.environ, "ROS_DOMAIN_ID": "17", "PYTHONPATH": str(preloaded_support.tested_folder())}
     options = {"cwd": tmp_path, "env": environment, "start_new_session": True, "stderr": subprocess.PIPE}
@@ -80,6 +81,7 @@ def test_output_and_exit_code_are_those_of_a_true_start(node, tmp_path):
     assert said[0] == said[1] and said[0][0] == 2 and "nowhere.yaml" in said[0][2]
 
 
+@pytest.mark.slow
 def test_what_a_forked_command_starts_is_forked_too_and_nothing_of_it_remains(claimed, tmp_path):
     axis = pathlib.Path(__file__).parents[1] / "config" / "kim2009.yaml"
     command = [*MAIN, "up", str(axis), "--rate", "lockstep", "--duration", "20", "--composed"]
@@ -98,6 +100,7 @@ def test_what_a_forked_command_starts_is_forked_too_and_nothing_of_it_remains(cl
         until(lambda: not any(pathlib.Path(f"/proc/{child}").exists() for child in started), what="their end")
 
 
+@pytest.mark.slow
 def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(2):
@@ -108,6 +111,7 @@ def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
     assert len(os.listdir("/proc/self/fd")) <= before + (0 if cold else 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["other variable", "other package in the path", "modules beside it"])
 def test_what_could_import_otherwise_is_started_truly(case, tmp_path, monkeypatch):
     home = str(preloaded_support.tested_folder())

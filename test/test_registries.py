@@ -158,6 +158,7 @@ def interpreted(tmp_path_factory):
     return np.load(folder / "y.npz")
 
 
+@pytest.mark.slow
 @models
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_and_as_plain_python_it_is_the_same(model, interpreted):
@@ -349,6 +350,7 @@ def test_what_an_estimator_finds_predicts_is_judged_and_becomes_an_axis(model, t
     assert filed.figures["identified_from"] == score.figures["identified_from"] == data.source
 
 
+@pytest.mark.slow
 @models
 def test_fitted_to_its_own_data_it_predicts_them(model):
     data = recording(model)

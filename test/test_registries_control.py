@@ -114,6 +114,7 @@ def test_a_controller_says_what_it_is_and_its_parameters_are_documented(law):
         assert [row for row in rows if row not in text] == [], "update the tables with `hysteresis parameters`"
 
 
+@pytest.mark.slow
 @laws
 def test_its_parameters_come_back_from_yaml_as_they_were(law):
     parameters = example(law).validated()
@@ -194,6 +195,7 @@ def test_a_design_is_stable_with_margins_and_has_the_bandwidth_asked(name):
     assert all(isinstance(text, str) for text in law.doubts(parameters, T, False))
 
 
+@pytest.mark.slow
 @designs
 def test_a_designed_loop_goes_to_the_reference_and_stays(name):
     _, places = Loop(designed(name)).run(STEP, 2000)
@@ -201,6 +203,7 @@ def test_a_designed_loop_goes_to_the_reference_and_stays(name):
     assert places.max() < 1.4 * STEP
 
 
+@pytest.mark.slow
 @designs
 def test_new_gains_do_not_move_the_command(name):
     loop, other = Loop(designed(name)), designed(name, 1.5 * BANDWIDTH)
@@ -236,6 +239,7 @@ def test_what_it_declares_for_tuning_can_be_tuned(law):
     assert judge(*law.tuning.loop(begun, T), T).meets(law.tuning.required)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROWS)
 def test_its_entries_of_the_comparison_can_be_built(name):
     if LAWS[ROWS[name][0].name].tuning is not None:

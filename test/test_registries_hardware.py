@@ -120,6 +120,7 @@ def test_its_capabilities_make_sense(opened):
     assert can.watchdog is None or can.watchdog * RATE > 1.0
 
 
+@pytest.mark.slow
 @drivers
 def test_a_voltage_moves_it_and_make_safe_brings_it_back(opened):
     can = opened.capabilities
@@ -150,6 +151,7 @@ def test_no_voltage_that_is_no_number_or_out_of_range_reaches_it(declared):
         device.close()
 
 
+@pytest.mark.slow
 @drivers
 def test_what_machine_code_calls_is_what_python_calls(opened):
     """Functions of a driver without a compiled form call its methods."""
@@ -181,6 +183,7 @@ def test_closed_it_does_nothing_more_and_it_can_be_opened_again(declared):
                     call()
 
 
+@pytest.mark.slow
 @drivers
 def test_a_second_master_is_refused_or_has_a_device_of_its_own(declared):
     with contextlib.ExitStack() as stack:
@@ -213,6 +216,7 @@ def test_a_device_that_is_gone_is_a_driver_error_within_moments(declared):
     assert time.monotonic() - start < 5.0
 
 
+@pytest.mark.slow
 def test_a_driver_loads_its_emulator_only_when_that_is_asked_for():
     code = (
         "import sys; from hysteresis_ros.hardware.registry import DRIVERS\n"

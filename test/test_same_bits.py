@@ -190,6 +190,7 @@ def unordered(path: pathlib.Path) -> set[str]:
     return used
 
 
+@pytest.mark.slow
 def test_blocks_compute_in_a_fixed_order():
     found = {}
     for folder in ("models", "compensation", "control", "references", "loop"):

@@ -87,6 +87,7 @@ def test_what_is_not_recorded_is_said():
     assert found["voltage_rate_v_s"] is None and "voltage" in found["notes"]["voltage_rate_v_s"]
 
 
+@pytest.mark.slow
 def test_discontinuous_law_chatters_more_than_boundary_layer_and_implicit_super_twisting():
     """Kim's axis with a wrong compensator: the same level β as a sign function, and in a boundary layer of width δ."""
     base = load_configuration(CONFIG).override("hysteresis_compensator", hysteresis__polynomial__scale=1.05)

@@ -134,6 +134,7 @@ def test_a_loop_that_is_drawn_has_a_width_also_where_the_voltage_is_noisy():
     assert [line.label.split(",")[0] for line in lines] == ["before compensation", "after compensation"]
 
 
+@pytest.mark.slow
 def test_no_loop_is_drawn_where_there_is_none():
     reference = np.repeat([0.0, 5e-6, 0.0, 5e-6], 100)
     columns = {"reference": reference, "displacement": reference + 1e-9, "voltage": reference * 1e7}
@@ -143,6 +144,7 @@ def test_no_loop_is_drawn_where_there_is_none():
     assert "loop before and after" not in page and 'id="chart-voltage"' in page
 
 
+@pytest.mark.slow
 def test_a_page_says_what_when_and_with_which_version(tmp_path):
     from hysteresis_ros import __version__
 

@@ -40,6 +40,7 @@ def test_most_of_a_run_at_a_slew_rate_is_said_first_with_its_share_and_time():
     assert "Evaluated at all 2000 samples" in sampling_text(recording)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_run_says_it_before_its_figures():
     pytest.importorskip("matplotlib", reason="matplotlib is not installed: no plots")
     pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")

@@ -238,6 +238,7 @@ def test_text_leads_with_the_parts_and_what_judges_the_longest():
     assert "over 4 whole periods of 200 ms" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [4, 24, 90])
 def test_errors_are_also_given_without_what_skipped_samples_disturbed(samples):
     # an error of 2 nm; after each of forty skipped samples 1 µm of error that decays within the given number of samples

@@ -45,6 +45,7 @@ def steps():
     return np.repeat([0.0, 2e-6, 0.0, 2e-6, 0.0], 200)
 
 
+@pytest.mark.slow
 def test_a_displacement_that_follows_the_delayed_reference_has_no_error():
     reference = steps()
     run = recorded(reference, late(reference))

@@ -80,6 +80,7 @@ class Words(html.parser.HTMLParser):
 # -- nothing is lost -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(size=st.integers(1, 3000), points=st.integers(4, 400), seed=st.integers(0, 20))
 def test_thinned_columns_keep_every_extreme_near_its_place(size, points, seed):
     random = np.random.default_rng(seed)
@@ -155,6 +156,7 @@ def added_up(sums: dict, i: int, j: int) -> dict:
     }
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(ends=st.tuples(st.integers(0, 39), st.integers(0, 39)), blocks=st.integers(40, 60), holes=st.booleans())
 def test_figures_of_a_span_are_those_of_the_metrics(ends, blocks, holes):
@@ -282,6 +284,7 @@ def test_voltages_that_are_held_are_judged_between_them():
     assert said.endswith("5 for each voltage, and thus also between the commands.")
 
 
+@pytest.mark.slow
 def test_a_recording_without_a_reference_has_a_page_too():
     run = scan()
     signals = {name: run[name] for name in ("displacement", "voltage")}

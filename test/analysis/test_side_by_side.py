@@ -101,6 +101,7 @@ def invoke(*words):
     return CliRunner().invoke(main, ["report", *(str(word) for word in words)])
 
 
+@pytest.mark.slow
 def test_the_command_puts_runs_of_one_name_apart_by_their_folders(runs, tmp_path):
     for name, one in runs.items():
         (tmp_path / name).mkdir()

@@ -27,6 +27,7 @@ def called(*words):
     return CliRunner().invoke(main, ["benchmark", *map(str, words)])
 
 
+@pytest.mark.slow
 def test_table_csv_json_and_page_hold_the_same_figures(tmp_path):
     """Two models on a recording and a synthetic plant."""
     path = manifest(tmp_path, entry(written(tmp_path)))

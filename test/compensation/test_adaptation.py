@@ -83,6 +83,7 @@ def learned(name, scale, delay=1.5):
     return true, history, compensator, adaptation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["prandtl_ishlinskii", "generalised_play", "proportional"])
 @pytest.mark.parametrize("scale", [0.8, 1.2])
 def test_known_weights_are_found_behind_creep_lag_delay_and_an_offset(name, scale):

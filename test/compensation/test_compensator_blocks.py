@@ -43,6 +43,7 @@ def test_exact_inverse_before_the_same_stack_gives_the_command(wanted):
         assert not block.saturated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @given(wanted=commands)
 def test_applied_is_what_the_model_does_at_the_voltage_put_out(kind, wanted):
@@ -174,11 +175,13 @@ def test_proportional_model():
     assert block.applied == pytest.approx(1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_compiled_loop_equals_calls_of_step_bit_for_bit(kind):
     np.testing.assert_array_equal(offline(kind), steps(compensator(kind, bits=16, slew_rate=3e4), triangle()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_equals_interpreted(tmp_path):
     others = interpreted("compensator_support", "[offline(kind) for kind in KINDS]", tmp_path)

@@ -98,6 +98,7 @@ def test_general_inverse_is_the_identity(name, drive):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["proportional", "polynomial", "prandtl_ishlinskii"])
 @settings(max_examples=40)
 @given(drive=voltages)
@@ -106,6 +107,7 @@ def test_closed_form_inverse_is_the_identity(name, drive):
     check_identity(block, block.inverse, hysteresis_block(hysteresis(name), 1e-3).simulate(drive))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 @settings(max_examples=40)
 @given(drive=voltages)
@@ -115,6 +117,7 @@ def test_multiplicative_inverse_is_the_identity(exponent, drive):
     check_identity(BoucWenHysteresis(given, 1e-3), multiplicative, BoucWenHysteresis(given, 1e-3).simulate(drive))
 
 
+@pytest.mark.slow
 def test_multiplicative_inverse_of_the_paper_s_actuator():
     """The actuator's loop is not quite monotone at 150 V; below 150 V the inverse is nevertheless exact."""
     paper = BoucWenParameters(d_e=0.206e-6, alpha=8.09e-8, beta=3.80e-3, gamma=-5.40e-3)
@@ -160,6 +163,7 @@ CASES = [(name, "general") for name in MODELS] + [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_compensator_carries_out_the_command(name, kind):
     block = Compensator(parameters(name, kind, picard_steps=30), 1e-3)
@@ -176,6 +180,7 @@ def test_compensator_carries_out_the_command(name, kind):
     assert block.voltage == 150.0 and block.saturated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_retune_keeps_the_voltage(name, kind):
     block = Compensator(parameters(name, kind), 1e-3)
@@ -198,6 +203,7 @@ def test_creep_is_fed_forward(kind):
         assert block.applied == pytest.approx(command, abs=1e-9 * STROKE)
 
 
+@pytest.mark.slow
 def test_inverse_duhem_equation_keeps_its_own_point():
     """With f linear and g its slope, both equations are straight lines: V = w/gain, no loop."""
     straight = dict(shape="spline", f_spline=tuple(KNOTS), g_spline=(1.0,) * 9)

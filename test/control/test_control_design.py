@@ -247,6 +247,7 @@ def test_other_types_do_not_check_the_sliding_mode_design(parameters):
     assert parameters({"type": "open_loop", "sliding_mode.S": None}).type == "open_loop"
 
 
+@pytest.mark.slow
 def test_designed_gains_need_no_scipy(tmp_path):
     script = (
         "import sys\n"

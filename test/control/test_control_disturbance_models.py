@@ -60,6 +60,7 @@ def test_a_part_of_a_disturbance_that_hardly_changes_is_hardly_corrected(paramet
     assert 0.5 < other[0] / usual[0] < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "feedthrough"), [("predictor", 0.0), ("predictor", 0.3), ("current", 0.0)], ids=str)
 @pytest.mark.parametrize("changes", [CONSTANT, RAMP, PERIODIC], ids=lambda c: c["kalman.disturbance"])
 def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, model, form, feedthrough, changes):

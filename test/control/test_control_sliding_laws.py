@@ -287,6 +287,7 @@ def test_a_law_that_the_filter_tells_nothing_of_disturbances_is_doubted(paramete
         assert not any("kalman.disturbance" in text for text in parameters(changes | CONSTANT).warnings())
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from(TYPES),

@@ -144,6 +144,7 @@ def test_the_margin_of_a_loop_is_that_of_the_loop_with_the_others_closed(seed):
         assert found.together.alpha <= margin.alpha * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_loops_that_do_not_couple_have_the_least_of_their_margins_together():
     loops = [random_loop(1, 10), random_loop(1, 11), random_loop(1, 12), random_loop(1, 13)]
     alone = [disk_margins(loop, 1.0).together.alpha for loop in loops]

@@ -377,6 +377,7 @@ def test_a_reference_at_rest_is_held_under_half_a_sample_of_delay():
     assert delayed == pytest.approx(np.full(30, 2e-6)) and outputs == pytest.approx(np.full(30, 2e-6), rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(models())
 def test_any_stable_model_is_followed_exactly_with_enough_preview(dynamics):

@@ -85,6 +85,7 @@ def test_the_noise_of_a_filter_counts_in_units_of_that_of_the_measurement(parame
             np.testing.assert_allclose(gain, filter_gain(clear, dynamics, T), rtol=1e-6, err_msg=f"{Q} {disturbance}")
 
 
+@pytest.mark.slow
 def test_a_given_filter_stays_where_it_keeps_the_margins(parameters):
     slow = {"kalman.gain": "given", "kalman.L": (1e-4, 1e-3, 1e-3)}
     assert design_gains(parameters(slow), "smc", T).parameters.kalman.L == (1e-4, 1e-3, 1e-3)
@@ -170,6 +171,7 @@ def test_the_slowest_poles_that_matter_are_cancelled(terms, expected, gain):
     assert slowest_poles(model.state_space) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_pid_has_the_largest_gain_within_the_margins(sign):
     """A gain 0.001 % larger misses a requirement; a stage that moves the other way gets the negative gains."""

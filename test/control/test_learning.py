@@ -37,6 +37,7 @@ from hysteresis_ros.designs.learning_filters import MARGIN, UNSEEN, Response, de
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 
 
+@pytest.mark.slow
 def test_a_delayed_loop_of_wrong_gain_is_inverted_in_one_period_by_a_filter_that_looks_as_far_ahead():
     m, e = followed(learning(error_filter=(1.0 / 0.8,), lead=3), (0.0, 0.0, 0.0, 0.8), 4)
     assert np.max(np.abs(e[0])) > 1e-7
@@ -199,6 +200,7 @@ def test_filters_contract_on_all_plants_that_are_possible_and_do_so_in_the_loop(
     assert np.max(np.abs(np.diff(m[-2:], axis=0))) < 1e-3 * np.max(np.abs(m[-1]))
 
 
+@pytest.mark.slow
 def test_a_loop_whose_sign_is_open_is_refused_by_name_and_figure():
     model = lags(0.1).model
     with pytest.raises(ConfigurationError, match=r"inversion: no bandwidth contracts .*reaches 1.* at .* Hz, but at"):

@@ -78,6 +78,7 @@ def test_a_fast_sample_rate_makes_no_fast_loop_of_a_slow_lag(name):
     assert louder.margins.bandwidth < 0.5 * found.margins.bandwidth
 
 
+@pytest.mark.slow
 def test_an_observer_that_knows_the_delay_foresees_through_it():
     """Without noise its innovation is zero for any input; an observer without the delay has an innovation."""
     dynamics = lag(delay=2.3 * T).model.dynamics

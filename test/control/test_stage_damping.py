@@ -123,6 +123,7 @@ def designs():
     return design_controllers(coupled((400.0, 800.0), (0.0,) * 4), DesignRequest("pid", damping="irc", noise=5e-9), {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_integral_resonant_control_of_each_axis_is_stable_with_modes_shared_by_both_directions(designs, seed):
     """Cross-talk of 10 to 30 % of actuators and sensors, with either sign."""
@@ -151,6 +152,7 @@ def test_a_structure_with_longer_times_is_that_of_its_differential_equation():
     assert np.sort(poles) == pytest.approx([700.0 / 0.9] * 2 + [800.0 / 0.9] * 2)
 
 
+@pytest.mark.slow
 def test_what_is_unmet_together_is_said_in_turn(designs):
     cross = (0.2, 0.2, 0.2, 0.2)
     parameters = coupled((400.0, 800.0), cross)
@@ -191,6 +193,7 @@ def test_a_damping_that_the_other_axis_does_not_permit_is_made_weaker():
         assert said in "\n".join(design_lines(design))
 
 
+@pytest.mark.slow
 def test_a_law_without_damping_is_stable_with_a_sample_of_delay_in_all_loops():
     """Each law alone is stable with it; with 20 % of cross-talk both together are unstable."""
     parameters = coupled((400.0, 800.0), (0.2, -0.2, 0.2, -0.2))
@@ -202,6 +205,7 @@ def test_a_law_without_damping_is_stable_with_a_sample_of_delay_in_all_loops():
     assert all(one.together.startswith("the law is slower") and said in one.together for one in found.values())
 
 
+@pytest.mark.slow
 def test_what_a_requested_bandwidth_does_not_permit_together_is_said_and_kept(monkeypatch):
     monkeypatch.setattr(coupled_designs, "unmet_together", lambda *given: "M_s 3 of all loops together above 2")
     found = design_controllers(stage(), DesignRequest("pid", bandwidth=50.0), {}, "x")

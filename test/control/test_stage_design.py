@@ -78,6 +78,7 @@ def learned(parameters: StageParameters, paths, corrections) -> dict:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", [None, late_structure()], ids=["as it is", "zero outside"])
 def test_the_inverse_of_the_coupled_loop_follows_the_path_at_all_samples(structure, tmp_path):
     parameters = stage(*SPIRAL, structure=structure)
@@ -104,6 +105,7 @@ def test_decoupling_each_axis_alone_leaves_the_coupling_between_them(tmp_path):
     assert np.max(np.abs(both)) < 1e-2 * np.max(np.abs(apart))
 
 
+@pytest.mark.slow
 def test_a_wrong_model_is_seen_by_what_its_inverse_leaves(tmp_path):
     parameters = stage(*SPIRAL)
     paths = scanned_paths(parameters)
@@ -136,6 +138,7 @@ def test_the_period_of_an_axis_is_that_of_its_own_path():
     assert shortest_period(line * 1e-6 + np.repeat([0.0, 1e-12], 120)) == 40, "a difference too small for learning"
 
 
+@pytest.mark.slow
 def test_each_axis_learns_over_the_period_of_its_own_path():
     values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
     found = design_stage_learning(stage("raster", values), LearningRequest("inversion"), {})
@@ -144,6 +147,7 @@ def test_each_axis_learns_over_the_period_of_its_own_path():
     assert len(found.corrections["x"].correction) == 500 and len(found.corrections["y"].correction) == 4000
 
 
+@pytest.mark.slow
 def test_what_cannot_learn_is_said():
     with pytest.raises(ConfigurationError, match="the stage follows no scan: give scan.kind"):
         design_stage_learning(stage(), LearningRequest("inversion"), {})
@@ -154,6 +158,7 @@ def test_what_cannot_learn_is_said():
         decoupled(fed, scanned_paths(fed))
 
 
+@pytest.mark.slow
 def test_the_table_of_a_stage_is_what_its_parts_are():
     text = "\n".join(stage_lines(stage()))
     margins = disk_margins(stage_loop(stage()), SAMPLE_TIME)
@@ -166,6 +171,7 @@ def test_the_table_of_a_stage_is_what_its_parts_are():
     assert "coupling at 10 Hz" in apart and apart != text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [0, 1])
 def test_the_coupling_of_a_table_names_the_axis_that_moves_and_the_one_that_is_moved(moved):
     """Cross-talk of 4 % from one axis into the other, and none the other way."""
@@ -221,6 +227,7 @@ def test_loops_that_are_unstable_together_are_refused_with_a_bandwidth_that_is_s
     assert disk_margins(stage_loop(slower), 1.0 / 6400.0).together.gain_margin == pytest.approx(6.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
     configuration = load_configuration("steering_mirror")
     parameters = StageParameters.from_configuration(configuration)

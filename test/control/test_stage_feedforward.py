@@ -193,6 +193,7 @@ def gentle(controller=OPEN["motion_controller"], **limits) -> StageParameters:
     )
 
 
+@pytest.mark.slow
 def test_the_voltage_steps_of_a_stage_are_those_of_its_setpoints_without_the_way_to_the_first_one():
     """1 mm/s at 10 kHz and 0.4 µm/V are 0.25 V a sample, of the axis that moves; from 0 V to 20 µm it is 50 V."""
     for step, name in zip(voltage_steps(gentle()), "xy", strict=True):
@@ -209,6 +210,7 @@ def test_an_integrator_that_goes_to_the_first_setpoint_does_not_count():
         assert step.asked == pytest.approx(0.25 * (1.0 - np.exp(-1.2)), rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_no_preview_decouples_is_refused_unless_preview_and_band_are_both_given():
     """A zero close to the unit circle: what it leaves decays more slowly than the longest preview."""
     C = np.reshape(load_configuration("xy_scanner").node("stage")["structure.C"], (2, 4)).copy()
@@ -237,6 +239,7 @@ def test_full_scale_in_a_sample_is_refused():
             require_gentle_steps([steps])
 
 
+@pytest.mark.slow
 def test_the_file_has_the_designed_feedforward_and_loses_it_again():
     configuration = load_configuration("xy_scanner")
     found = design_stage_feedforward(StageParameters.from_configuration(configuration), preview=14)

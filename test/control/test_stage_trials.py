@@ -117,6 +117,7 @@ def test_the_first_step_is_norm_optimal():
     np.testing.assert_array_equal(belief.step(given, np.full((1, 2), 1.0)), 0.0)
 
 
+@pytest.mark.slow
 def test_axes_learn_together_what_the_model_does_not_have(tmp_path):
     """Compared with the model the plant has 3 % lower modes, 8 % more gain and twice the cross-talk."""
     model = stage(*SPIRAL, structure=modal((700.0, 800.0)))

@@ -83,6 +83,7 @@ def await_position(device: Device, wanted: float) -> None:
     until(lambda: math.isclose(device.read()[0], wanted, abs_tol=2e-8), what=f"the stage at {wanted} m", every=0.002)
 
 
+@pytest.mark.slow
 def test_the_stage_has_hysteresis_and_moves_in_its_own_time():
     with running_stage(*PATIENT) as stage:
         device = opened(stage.name)
@@ -124,6 +125,7 @@ def test_two_masters_are_refused_and_the_first_goes_on():
         opened(stage.name).close()
 
 
+@pytest.mark.slow
 def test_a_stage_that_is_not_there_is_named_and_exit_code_2_follows(tmp_path):
     path = tmp_path / "axis.yaml"
     path.write_text(AXIS.format(driver=built() / "libstage.so", name="/nowhere_at_all"))
@@ -148,6 +150,7 @@ def fail_fused(stage, number: int) -> tuple[Axis, np.ndarray]:
     return axis, loop.take().table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "said"),
     [
@@ -215,6 +218,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_when_the_master_is_killed_the_watchdog_acts_and_the_next_one_may_come():
     with running_stage("--watchdog", "0.5", "--rate", "5000") as stage:
         command = [sys.executable, "-c", MASTER, str(built() / "libstage.so"), f"name={stage.name}"]

@@ -279,6 +279,7 @@ def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, op
     axis.plant.close()
 
 
+@pytest.mark.slow
 def test_one_that_does_not_return_is_told_to_whoever_asks_and_nothing_waits_for_it(library):
     given = axis_parameters(library, "block=200")
     loop = FusedLoop(Axis(given, fused_plant_of(given.plant_simulator)))
@@ -303,6 +304,7 @@ def blocked_is_told(loop):
     assert loop.sample == made
 
 
+@pytest.mark.slow
 def test_one_that_returns_after_all_stops_the_axis_by_what_it_missed(library):
     given = axis_parameters(library, "block=200", late_limit=1000)
     axis = Axis(given, fused_plant_of(given.plant_simulator))
@@ -393,6 +395,7 @@ def test_a_device_that_is_not_what_the_axis_needs_is_refused(library, options, w
         fused_plant_of(parameters(library, *options))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left_out", [FUNCTIONS[:1], FUNCTIONS[:2], FUNCTIONS[2:4]])
 def test_a_library_without_the_functions_is_refused_by_their_names_and_nothing_moves(tmp_path, left_out):
     functions = "".join(f"void {name}(void) {{}}\n" for name in FUNCTIONS if name not in left_out)

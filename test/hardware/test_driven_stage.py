@@ -109,6 +109,7 @@ def recorded(loop, readers) -> Recording:
     return Recording.of_axes(axes, {})
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
 def test_a_fused_stage_of_devices_is_repeated_bit_for_bit():

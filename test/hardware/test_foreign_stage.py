@@ -42,6 +42,7 @@ def driven(stage):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="Numba is missing: the stage has no compiled form")
 def test_as_machine_code_it_is_the_same_stage():
     expected, stage = driven(opened()), opened()

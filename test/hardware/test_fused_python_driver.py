@@ -203,6 +203,7 @@ def test_before_a_start_one_that_was_left_at_a_voltage_is_made_safe(noting):
     plant.close()
 
 
+@pytest.mark.slow
 def test_a_fused_run_has_a_twin(noting):
     parameters = axis_of()
     loop, table = fused(parameters, 1200)

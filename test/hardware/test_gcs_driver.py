@@ -125,6 +125,7 @@ def driver(stand):
     driver.close()
 
 
+@pytest.mark.slow
 def test_the_controller_plays_and_records_by_itself(stand, driver):
     k = np.arange(351)  # it ends at 50 V, far from where it begins
     wanted = 30.0 - 20.0 * np.cos(2.0 * np.pi * k / 100.0)
@@ -174,6 +175,7 @@ def test_each_axis_is_its_own(stand):
     device.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "changes", "said"),
     [
@@ -210,6 +212,7 @@ def test_what_it_cannot_work_with_is_named_and_nothing_is_commanded(stand, befor
     assert not any(line.startswith("SVA ") and float(line.split()[2]) != 0.0 for line in stand.heard)
 
 
+@pytest.mark.slow
 def test_a_second_master_is_refused_until_the_first_has_gone(stand, device):
     with pytest.raises(DriverError, match="cannot be opened: .* in use by another program"):
         stand.open(timeout=5.0)
@@ -238,6 +241,7 @@ def test_a_controller_that_is_not_there_or_is_no_controller_is_named():
             Device(DRIVERS["gcs"], GcsParameters(port=other.getsockname()[1], timeout=0.2), RATE)
 
 
+@pytest.mark.slow
 def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
     monkeypatch.setattr(bringup, "TRIALS", 5)
     stand.faults.add("slow:0:60:0.02")
@@ -246,6 +250,7 @@ def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
     device.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("happens", "said"),
     [
@@ -333,6 +338,7 @@ def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
     return errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 2])
 @pytest.mark.parametrize("happens", WRONG_LINES)
 @pytest.mark.parametrize("looks", ["each time", "seldom"])
@@ -349,6 +355,7 @@ def test_a_line_that_is_wrong_or_too_many_gives_an_error_and_never_another_readi
     device.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 2])
 @pytest.mark.parametrize("happens", WRONG_LINES)
 @pytest.mark.parametrize("first", ["read", "make_safe"])
@@ -367,6 +374,7 @@ def test_a_device_is_made_safe_whatever_line_goes_wrong(stand, happens, lines, f
     until(lambda: stand.controller.axes["1"].plant.voltage == 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("happens", [*WRONG_LINES, "none"])
 def test_a_device_that_is_closed_is_safe_and_says_nothing(stand, happens):
     device = stand.open(timeout=LOST)
@@ -377,6 +385,7 @@ def test_a_device_that_is_closed_is_safe_and_says_nothing(stand, happens):
     assert device.close() == "" and stand.controller.axes["1"].open_value == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("happens", ["cut:0:60", "silent:0:60", "garbage:0:60:100000", "close:0:60:100000"])
 def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a_person_has_seen_it(stand, happens):
     plant = DrivenPlant(plant_parameters(stand))
@@ -401,6 +410,7 @@ def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a
     assert plant.close() == "", "the device was safe"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("happens", WRONG_LINES)
 def test_an_axis_that_a_wrong_line_has_stopped_is_safe_and_names_the_line(stand, happens):
     plant = DrivenPlant(plant_parameters(stand))

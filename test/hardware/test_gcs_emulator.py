@@ -51,6 +51,7 @@ words = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(data=st.one_of(st.binary(max_size=60), st.lists(words, max_size=9).map(lambda w: " ".join(w).encode() + b"\n")))
 def test_whatever_comes_is_answered_or_an_error_and_the_next_question_is_answered(shared, data):

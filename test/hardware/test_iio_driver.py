@@ -177,6 +177,7 @@ def test_parameters_that_make_no_sense_are_refused(tree, changes):
         tree.given(**changes)
 
 
+@pytest.mark.slow
 def test_between_emulated_converters_a_stage_moves_and_what_has_gone_comes_back(tmp_path):
     given = EmulatedConvertersParameters(directory=str(tmp_path / "iio"), amplifier=10.0, sensor=1.0e5)
     with start(given, Bench()) as running:

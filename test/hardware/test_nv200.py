@@ -60,6 +60,7 @@ words = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(data=st.one_of(st.binary(max_size=60), st.lists(words, max_size=9).map(lambda w: "".join(w).encode("latin-1"))))
 def test_whatever_comes_is_answered_and_the_next_question_too(shared, data):

@@ -47,6 +47,7 @@ def test_a_periodic_start_repeats_itself():
     np.testing.assert_allclose(three[-2048:], one, atol=2e-4 * np.ptp(one))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 @pytest.mark.parametrize("intersample", ["zoh", "bandlimited"])
 def test_parameters_come_back_from_thirty_percent_off(intersample):

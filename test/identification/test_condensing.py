@@ -111,6 +111,7 @@ def test_what_is_far_off_is_in_no_coarser_sample_that_counts():
     assert len(data.voltage) < 0.5 * len(fine.voltage)
 
 
+@pytest.mark.slow
 def test_skip_counts_samples_of_the_recording():
     data = read_data(recording(sine()))
     figures = identify(data, "proportional", linear="none", skip=10_000).figures

@@ -222,6 +222,7 @@ def recorded(structure: ModalStructure, realisations=3, run_in=256) -> Experimen
     return replace(empty, y=empty.simulated(structure.parameters()))
 
 
+@pytest.mark.slow
 def test_sensitivities_are_derivatives_of_the_simulation():
     """Jᵀr of every parameter against central differences of the cost."""
     truth = hysteretic()
@@ -313,6 +314,7 @@ def found_of_the_whole():
     return data, estimator.fit(data), replace(estimator, plays=0).fit(data)
 
 
+@pytest.mark.slow
 def test_one_structure_serves_all_levels_better_than_linear_dynamics(found_of_the_whole):
     data, found, linear = found_of_the_whole
     assert [len(level) for level in data.levels] == [4, 4]

@@ -45,6 +45,7 @@ def driven(gain: float = 2e-6, other: float = 3e-6, seed: int = 0) -> Identifica
     return IdentificationData(np.arange(SAMPLES) * STEP, voltage, gain * own + other * foreign)
 
 
+@pytest.mark.slow
 def test_both_resonances_are_found_below_a_neighbour_that_shares_one():
     data = driven()
     found = choose_dynamics(segment_spectra(data.input, data.output, STEP)).part
@@ -71,6 +72,7 @@ def test_an_output_that_falls_is_refused_with_its_gain():
         identify(driven(-2e-6), "proportional")
 
 
+@pytest.mark.slow
 def test_a_stage_finds_the_gain_that_no_line_through_the_samples_shows():
     data = driven(other=0.0)
     late = replace(data, output=np.append(np.zeros(2), data.output[:-2]))
@@ -89,6 +91,7 @@ def test_a_sine_upside_down_is_refused_behind_a_lag(lag):
         assert found.certain and found.gain == pytest.approx(sign * np.cos(2.0 * np.pi * lag / 200.0), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_else_moves_the_output_is_warned_of_with_its_share():
     data, alone = driven(), driven(other=0.0)
     gain = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=2e-6))
@@ -101,6 +104,7 @@ def test_what_else_moves_the_output_is_warned_of_with_its_share():
     assert not any("something else" in text for text in quiet.warnings)
 
 
+@pytest.mark.slow
 def test_a_fast_steering_mirror_is_fitted_by_default():
     """One input and output of three driven together; the paper's linear model of all three leaves 0.114 of 1.5 µm."""
     train, test = (_mirror(kind) for kind in ("train", "test"))

@@ -59,6 +59,7 @@ def test_the_deviation_is_that_of_a_line_where_nothing_creeps():
     assert 0.9 <= within <= 0.99
 
 
+@pytest.mark.slow
 def test_an_identification_takes_slow_creep_for_no_drift_and_finds_a_drift_beside_it():
     # held-out blocks alone prefer a drift of 20 nm/s to this creep
     still = fit_prandtl_ishlinskii(VOLTAGE, recorded(0.03, 5.0), STEP, density="exponential", linear=("lag",))

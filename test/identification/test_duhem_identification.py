@@ -76,6 +76,7 @@ def test_the_block_runs_the_loop_that_was_fitted():
     assert np.sqrt(np.mean(error**2)) < 2e-4 * np.ptp(y)
 
 
+@pytest.mark.slow
 def test_training_is_repeatable():
     a, b = (identify_duhem(MAJOR, truth(MAJOR), alpha=3.0, size=4, seed=5).parameters for _ in range(2))
     assert a == b

@@ -134,6 +134,7 @@ def test_the_deviations_of_two_modes_are_named_by_their_frequencies_and_there_is
     assert found["mode_1_hz"] < 0.2 * found["mode_2_hz"] and found["mode_2_damping"] < 0.1
 
 
+@pytest.mark.slow
 def test_the_delay_of_two_modes_behind_a_lag_is_within_its_interval():
     part = LinearPart(
         lag=0.5e-3, delay=1.25 / RATE, modes=in_series(0.5e-3, [(180.0, 0.02), (420.0, 0.03)]), hold=1.0 / RATE

@@ -49,6 +49,7 @@ def loops_then_chirp(size: float, samples: int = 8000, share: float = 0.1) -> np
     return voltage
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "noise"), [(3.0, 5e-9), (2.0, 2e-8)])
 def test_a_chirp_in_the_last_tenth_shows_its_mode_behind_a_hysteresis(size, noise):
     plant = ForeignPlant(RATE, hysteresis=0.3, modes=((180.0, 0.02, 1.0),), noise=noise)
@@ -60,6 +61,7 @@ def test_a_chirp_in_the_last_tenth_shows_its_mode_behind_a_hysteresis(size, nois
     assert modes[0].frequency == pytest.approx(180.0, rel=3e-3) and modes[0].damping == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "frequency", "size", "noise"), [(0.03, 180.0, 3.0, 5e-9), (0.1, 350.0, 2.0, 2e-8)])
 def test_a_mode_that_a_chirp_passes_once_is_found(share, frequency, size, noise):
     # one segment has nearly all content at the mode; held out as a whole, it would leave nothing to predict it from
@@ -80,12 +82,14 @@ def test_what_happens_in_a_quarter_of_the_recording_belongs_to_several_folds():
     assert np.count_nonzero(power > 0.05 * power.sum()) >= 3
 
 
+@pytest.mark.slow
 def test_a_mode_that_nothing_excites_is_still_not_found():
     plant = ForeignPlant(RATE, hysteresis=0.0, modes=((180.0, 0.02, 1.0),), noise=2e-9)
     voltage = loops_then_chirp(0.0)
     assert not choose_dynamics(segment_spectra(1.2e-7 * voltage, plant.record(voltage), 1.0 / RATE)).part.modes
 
 
+@pytest.mark.slow
 def test_no_mode_is_found_in_what_a_hysteresis_adds():
     # relays switch, so the output has content where a cosine of decaying amplitude has hardly any
     time = np.arange(16000) / (2.0 * RATE)
@@ -191,6 +195,7 @@ def search(voltage, displacement, answer) -> TurnSearch:
     return TurnSearch(lambda *_, linear, **__: answer(linear), voltage, displacement, 1.0 / RATE, parts, None)
 
 
+@pytest.mark.slow
 def test_dynamics_before_a_hysteresis_have_no_lag_in_place_of_its_loops():
     plant = ForeignPlant(RATE, hysteresis=0.3, modes=((180.0, 0.02, 1.0),), noise=5e-9)
     voltage, asked = loops_then_chirp(2.0), []
@@ -206,6 +211,7 @@ def test_dynamics_before_a_hysteresis_have_no_lag_in_place_of_its_loops():
     assert known.lag < 1e-3 and [mode.frequency for mode in known.modes] == pytest.approx([180.0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_without_modes_a_lag_of_a_fast_recording_is_fitted_together_with_the_hysteresis(monkeypatch):
     monkeypatch.setattr(dynamics, "FAST_SAMPLES", 0)
     voltage, asked = loops_then_chirp(0.0), []

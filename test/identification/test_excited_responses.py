@@ -33,6 +33,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_known_response_lies_inside_its_band_as_often_as_stated(kind):
     asked, seeds, apart, more = KINDS[kind]
@@ -129,6 +130,7 @@ def closed_loop(reference, noise, gain=0.05):
     return sensitivity, scipy.signal.lfilter(B, A, sensitivity) + noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["noise", "multisine"])
 def test_in_a_closed_loop_the_estimate_is_unbiased_where_that_of_input_and_output_alone_is_not(kind):
     asked = Experiment(kind, duration=200.0, period=0.5 if kind == "noise" else None, high=40.0, realisations=40)

@@ -94,6 +94,7 @@ def test_an_exact_response_is_fitted_exactly():
     np.testing.assert_allclose(fraction.denominator[:, 0, 0], np.poly(KIM.poles).real, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_welch_tells_its_own_uncertainty():
     random = np.random.default_rng(1)
     u = random.standard_normal(60000)

@@ -188,6 +188,7 @@ def test_a_start_at_rest_may_be_a_little_worse_than_the_others_or_below_a_hundre
     assert trials.at_rest(100) == there
 
 
+@pytest.mark.slow
 def test_by_chance_a_structure_that_is_no_better_is_taken_as_often_as_the_two_rules_allow():
     """The mean of five parts exceeds one standard error by chance in 19 % (Student's t, 4 degrees of freedom).
 

@@ -32,6 +32,7 @@ def stack_recording(name):
     return columns[:, 1], 1e-6 * columns[:, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fitter, train, test", [(fit_preisach, 0.10e-6, 0.22e-6), (fit_prandtl_ishlinskii, 0.14e-6, 0.22e-6)]
 )
@@ -48,6 +49,7 @@ def test_piezo_stack_major_loops_predict_other_amplitudes(fitter, train, test):
     assert back.rmse_percent < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 def test_bouc_wen_benchmark_from_thirty_percent_off():
     train = table("boucwen_benchmark/train_multisine.csv")

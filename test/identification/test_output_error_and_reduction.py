@@ -82,6 +82,7 @@ def test_a_ramp_is_followed_exactly_by_straight_lines_and_rest_is_rest():
     np.testing.assert_allclose(late[10:], y[:-10], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_400_noisy_samples_of_g4_give_its_poles_and_pass_the_papers_tests():
     u = square()
     clean = simulate_transfer_function(*G4, u, STEP)
@@ -99,6 +100,7 @@ def test_400_noisy_samples_of_g4_give_its_poles_and_pass_the_papers_tests():
     assert not validate(y, low.predicted, u, unit="um").autocorrelation.passed
 
 
+@pytest.mark.slow
 def test_scale_does_not_matter_and_deviations_are_those_of_repeated_experiments():
     u = np.repeat(np.random.default_rng(2).standard_normal(80), 5)
     clean = simulate_transfer_function([1e-6 * 2e6], [1.0, 600.0, 1e6], u, 1e-3)

@@ -60,6 +60,7 @@ def test_a_remanent_bouc_wen_element_is_found_behind_its_past(initial):
     assert far_off(found) < 0.25 * far_off(wrong) and far_off(found) < 0.1
 
 
+@pytest.mark.slow
 def test_one_cycle_of_a_repeated_drive_is_fitted_as_such():
     recording = data(CYCLES[:200], bouc_wen(np.tile(CYCLES[:200], 2))[200:])
     found = identify(recording, "bouc_wen", linear="none", initial="periodic")
@@ -131,6 +132,7 @@ OSCILLATOR = BoucWenMechanicalParameters(
 GUESS = dict(mass=2.1, damping=11.0, stiffness=4.8e4, alpha=5.3e4, beta=1e3, gamma=0.85, delta=-1.05, trials=0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 def test_an_oscillator_in_a_repeated_drive_with_drift_and_outliers():
     rate, count = 750.0, 1024

@@ -64,6 +64,7 @@ def recording(part: LinearPart, voltage, noise: float = 2e-9) -> IdentificationD
     return IdentificationData(np.arange(voltage.size) * STEP, voltage, measured)
 
 
+@pytest.mark.slow
 def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     whole = check_response(chain(MODE), recording(MODE, multisine(16000)), 1000)
     # a mode above the content is possible, but it does not affect integral control, so there is no message
@@ -236,6 +237,7 @@ def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(s
     assert "slowed down" not in design(folder, "bare.yaml", "--controller", "pid").stdout
 
 
+@pytest.mark.slow
 def test_an_uncertainty_that_is_none_is_refused_by_name(slow):
     folder, _ = slow
     text = (folder / "axis.yaml").read_text(encoding="utf-8")

@@ -126,6 +126,7 @@ def test_periods_and_realisations_are_found_in_one_recording():
         realisations(recorded(u), StageColumns(period=0.0301))
 
 
+@pytest.mark.slow
 def test_skipped_samples_in_which_the_inputs_were_held_do_not_hide_the_realisations():
     """The references repeat; the voltages of a busy machine do not, and the recording contains both."""
     asked = excitation()
@@ -182,6 +183,7 @@ def test_a_drift_from_period_to_period_is_no_response():
     np.testing.assert_allclose(moved - moved.mean(axis=1, keepdims=True), still, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_local_polynomial_bands_contain_the_truth_in_95_of_100_lines():
     """Counted over seeds, for each entry, with correlated noise of the sensors and inputs that never repeat."""
     model, inside, ratio = plant(), [], []
@@ -305,6 +307,7 @@ def test_a_measured_response_matrix_replaces_that_of_a_noisy_recording(tmp_path)
     assert "x.response.uncertainty" in section and "response.uncertainty" not in alone.text
 
 
+@pytest.mark.slow
 def test_a_response_matrix_of_another_stage_is_refused(tmp_path):
     reading = recorded(excitation())
     others = ((("x", "z"), STEP), (("x", "y"), 2.0 * STEP), (("x", "y"), 0.5 * STEP), (("y", "x"), STEP))
@@ -325,6 +328,7 @@ def test_a_response_matrix_of_another_stage_is_refused(tmp_path):
     assert "--response is for the recording of a stage" in hysteresis(*words, code=2)
 
 
+@pytest.mark.slow
 def test_an_identified_stage_begins_at_rest(linear):
     """The first voltages are 0 V, and the way to the middle of the ranges keeps the limits of the approach."""
     own = linear[0].parameters
@@ -370,6 +374,7 @@ def test_what_is_held_out_does_not_change_the_response():
     assert not np.array_equal(level_responses(data, 0)[0][0].response.response, plain.response.response)
 
 
+@pytest.mark.slow
 def test_the_noise_that_was_measured_at_rest_is_that_of_the_file():
     """A recording with irregular samples has noise that no sensor has, here 50 times as much."""
     reading = recorded(excitation(), noise=1e-7)
@@ -508,6 +513,7 @@ def truth(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_one_axis_after_the_other_goes_through_its_range(truth):
     reading = read_stage(truth.with_name("decaying.npz"))
     u, _ = reading.whole()
@@ -591,6 +597,7 @@ def test_the_page_without_periods_loops_and_controllers_has_what_is_known(linear
     assert shown.count("data:image/png") == 2 and "Controllers" not in shown and "<td>-</td>" in shown
 
 
+@pytest.mark.slow
 def test_options_of_a_single_axis_are_refused_for_a_stage(truth):
     words = ("identify", truth.with_name("multisine.npz"), "--loops", truth.with_name("decaying.npz"), "-o", "s.yaml")
     for option in (("--linear", "lag"), ("-p", "plays=3"), ("--inverse", "exact")):
@@ -680,6 +687,7 @@ def test_the_plant_of_devices_becomes_the_identified_one_and_a_simulated_plant_s
         assert (given.plant_simulator.creep.type == "none") == bool(driver)
 
 
+@pytest.mark.slow
 def test_loops_are_designed_for_the_noisiest_sensor_unless_the_noise_is_given(monkeypatch):
     class Designing(Exception):
         """The design begins."""
@@ -749,6 +757,7 @@ def test_a_loop_that_is_slow_because_its_response_is_not_known_is_answered_with_
         assert "noise" not in said[0]
 
 
+@pytest.mark.slow
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
     configuration = load_configuration(truth)
     for asked, words in (
@@ -761,6 +770,7 @@ def test_excitations_that_a_stage_cannot_play_are_refused(truth):
             excited_stage(configuration, asked, truth)
 
 
+@pytest.mark.slow
 def test_hr_identify_takes_several_inputs_and_outputs(truth):
     found = hr.identify(
         truth.with_name("multisine.npz"), columns=hr.StageColumns(), options={"controller": "none", "order": 4}

@@ -78,6 +78,7 @@ def test_the_past_is_wiped_out_only_where_a_rise_and_a_fall_come_after():
     assert wiped_out(DECAYING) == pytest.approx(100, abs=25)
 
 
+@pytest.mark.slow
 def test_one_cycle_from_rest_is_fitted_on_both_branches():
     voltage = loops(100.0, TIME[:201])
     found = identify(data(voltage, recorded(voltage)), linear="lag")
@@ -85,6 +86,7 @@ def test_one_cycle_from_rest_is_fitted_on_both_branches():
     assert np.std(found.predicted - recorded(voltage)) < 0.03e-6
 
 
+@pytest.mark.slow
 def test_one_cycle_of_a_repeated_drive_is_found_periodic():
     voltage = loops(100.0)
     y = recorded(voltage)
@@ -148,6 +150,7 @@ def test_a_drive_that_does_not_repeat_is_not_taken_as_periodic():
         find_start(data(DECAYING[:750], recorded(DECAYING)[:750]), initial="periodic")
 
 
+@pytest.mark.slow
 def test_outliers_are_counted_and_leave_the_fit_alone():
     y = recorded(loops(100.0))
     spoilt = y.copy()
@@ -253,6 +256,7 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
         parse_options("auto", ["widths=3"])
 
 
+@pytest.mark.slow
 def test_a_remanence_that_fits_no_better_than_rest_is_searched_once(monkeypatch):
     passes = []
     found_voltage = separation.remanent_voltage
@@ -263,6 +267,7 @@ def test_a_remanence_that_fits_no_better_than_rest_is_searched_once(monkeypatch)
     assert find_start(data(GROWING, recorded(GROWING))).kind == "zero" and len(passes) == 3
 
 
+@pytest.mark.slow
 def test_a_separation_uses_the_play_model_that_was_fitted_before(monkeypatch):
     """The second model of the same data, which has no dynamics of its own, starts no search for them."""
     shared, measured = {}, data(DECAYING, recorded(DECAYING))
@@ -370,6 +375,7 @@ def test_a_resonance_among_the_harmonics_of_a_sine_is_the_shape_of_the_loops():
     assert rich.excited(4.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("history", "voltage"), [((40.0, 0.0), DECAYING), ((150.0, 0.0), DECAYING), ((150.0, 10.0), 10.0 + 0.8 * DECAYING)]
 )
@@ -384,6 +390,7 @@ def test_an_omitted_beginning_that_the_predicted_error_does_not_include_is_state
     assert ("--initial zero" in said[0]) == (voltage[0] == 0.0)
 
 
+@pytest.mark.slow
 def test_a_recording_from_rest_that_is_fitted_from_its_beginning_has_no_such_warning():
     found = identify(data(DECAYING, recorded(DECAYING)), linear="lag")
     assert found.figures.get("skipped", 0) == 0

@@ -43,6 +43,7 @@ def printed(**variables: str) -> list[list[int]]:
     return [[int(word) for word in line.strip("[]").split(",") if word] for line in lines.splitlines()]
 
 
+@pytest.mark.slow
 def test_one_thread_within_and_the_number_before_after():
     before, within, still, after = printed()
     if not before:
@@ -51,6 +52,7 @@ def test_one_thread_within_and_the_number_before_after():
     assert (before, within, still, after) == ([3] * count, [1] * count, [1] * count, [3] * count)
 
 
+@pytest.mark.slow
 def test_a_number_of_threads_in_the_environment_is_kept():
     before, within, _, _ = printed(OPENBLAS_NUM_THREADS="2")
     assert within == before == [3] * len(before)

@@ -71,6 +71,7 @@ def test_an_axis_without_feedback_keeps_its_place_or_goes_where_it_is_measured()
     assert abs(measured[1]) < 0.1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="Numba is not installed: kernels exist in one form only")
 def test_interpreted_it_makes_the_same_bits(tmp_path):
     slow = {"adaptation__slow": 0.05}
@@ -80,6 +81,7 @@ def test_interpreted_it_makes_the_same_bits(tmp_path):
     assert here[1][-1] < 1.0
 
 
+@pytest.mark.slow
 def test_fused_it_is_its_twin_whatever_is_asked_of_it():
     given = adapting({"adaptation__slow": 0.05})
     loop = FusedLoop(Axis(given), 10.0, 0)

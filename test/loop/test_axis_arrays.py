@@ -98,6 +98,7 @@ def test_every_controller_too(name):
     assert_each_is_the_axis_alone(differing(one, 3), setpoints_within(one, 3, 200))
 
 
+@pytest.mark.slow
 def test_an_adapting_compensator_too():
     one = adapting()
     run = assert_each_is_the_axis_alone(differing(one, 3), np.full((3, 900), one.generator.initial_setpoint))
@@ -128,6 +129,7 @@ def alone():
     return each, wanted, [Axis(axis).run(row) for axis, row in zip(each, wanted, strict=True)]
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     count=st.integers(1, AXES), threads=st.integers(1, 2 * AXES), cuts=st.sets(st.integers(1, SAMPLES - 1), max_size=6)
@@ -324,6 +326,7 @@ def test_every_axis_has_its_own_range_of_setpoints():
     np.testing.assert_array_equal(array.setpoint_range, [[one.generator.minimum, end] for end in most])
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.skipif(not COMPILED, reason="Numba is not installed: there is no compiled loop to compare with")
 def test_the_loops_in_c_of_the_benchmark_make_the_same_bits(tmp_path, monkeypatch):

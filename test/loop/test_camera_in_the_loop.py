@@ -38,6 +38,7 @@ def axis(**camera) -> Axis:
     return Axis(AxisParameters.from_configuration(configuration(**camera)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_what_is_seen_is_where_the_tip_was_so_many_frames_before(delay):
     made = axis(delay=delay).run(np.zeros(120))
@@ -48,6 +49,7 @@ def test_what_is_seen_is_where_the_tip_was_so_many_frames_before(delay):
     assert np.abs(made["measured"][:delay] - true[0]).max(initial=0.0) < 0.1 * 0.5e-6
 
 
+@pytest.mark.slow
 def test_the_integral_removes_what_the_inverse_does_not_know():
     wrong = configuration().override("hysteresis_compensator", hysteresis__bouc_wen__d_e=0.19e-6)
     errors = {}
@@ -114,6 +116,7 @@ def test_what_does_not_fit_together_is_named(change, words):
         AxisParameters.from_configuration(change(configuration()))
 
 
+@pytest.mark.slow
 def test_the_file_that_comes_with_the_package_sees_to_0_02_pixel_one_frame_late():
     given = AxisParameters.from_configuration(load_configuration("auwal2017_camera"))
     made = Axis(given).run(np.zeros(60))

@@ -169,6 +169,7 @@ def test_a_plant_that_is_reset_is_at_rest_with_its_structure():
         np.testing.assert_array_equal(found[name]["displacement"][50:60], found[name]["displacement"][:10])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feeds", [False, True], ids=["feedback", "feedforward"])
 @pytest.mark.parametrize("delay", [0.0, SAMPLE_TIME], ids=["prompt", "late"])
 def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay, feeds):
@@ -238,6 +239,7 @@ def test_the_compiled_loop_has_the_bits_of_its_python_form(expression, tmp_path)
     np.testing.assert_array_equal(bits(found), bits(interpreted("test_coupled_stage", expression, tmp_path)))
 
 
+@pytest.mark.slow
 def test_axes_with_parts_of_two_classes_run_in_one_loop():
     one = stage(x__hysteresis_compensator=adapting())
     assert len({type(axis.parts.compensator) for axis in one.axes}) == 2

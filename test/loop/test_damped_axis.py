@@ -37,6 +37,7 @@ CHANGES = (
 )
 
 
+@pytest.mark.slow
 def test_a_fused_axis_makes_the_samples_of_its_twin_with_damping_that_changes():
     loop, given = made_loop("stage700", factor=STAGE_SLOWLY, **ANY_LATE)
     loop.set(setpoint=5e-6)

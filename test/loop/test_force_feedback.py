@@ -52,6 +52,7 @@ def test_both_loops_bear_the_delay_that_their_margin_says_and_no_more(late, stay
     assert made["tripped"][-1] == 0.0 and swing < 1e-8 if stays else swing > 1e-7 or made["tripped"][-1] != 0.0
 
 
+@pytest.mark.slow
 def test_a_fused_axis_makes_the_samples_of_its_twin_with_force_feedback_that_changes():
     given = {"motion_controller": IFF, **ANY_LATE, "every": {"faults": ["lost_force:0.002:0.001"]}}
     loop, parameters_ = made_loop("stage700", factor=STAGE_SLOWLY, **given)

@@ -53,6 +53,7 @@ def test_a_motor_that_learns_its_walk_makes_the_run_of_the_axis():
     assert loop.axis.source.sequencer.x[gait.LEARNED_CYCLES] > 2 and np.any(made["correction"])
 
 
+@pytest.mark.slow
 def test_the_schedule_of_a_motor_holds_until_somebody_gives_a_setpoint():
     schedule = {"setpoints__times": [0.005, 0.02, 1e3], "setpoints__values": [2e-5, 5e-5, 1e-4]}
     loop, given = made_loop("inchworm_travel", samples=400, inchworm_sequencer=schedule)
@@ -92,6 +93,7 @@ def deadlines(loop, sample: int) -> int:
     return sample * int(loop._state[pacing.PERIOD]) // pacing.FEMTO
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_left():
     loop, given = made_loop(factor=1e-3)
     loop.start()
@@ -111,6 +113,7 @@ def test_it_goes_on_where_it_left():
 # ------------------------------------------------------------------------------------------------------- live changes
 
 
+@pytest.mark.slow
 def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.start()
@@ -147,6 +150,7 @@ def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     assert np.any(plain["voltage"] != twin["voltage"])
 
 
+@pytest.mark.slow
 def test_an_emergency_stop_stops_everything_within_a_sample_and_stays():
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.set(setpoint=5e-6)
@@ -244,6 +248,7 @@ def test_changes_before_the_start_and_after_the_end_hold_too():
     assert_twin(loop, whole(loop, first), given)
 
 
+@pytest.mark.slow
 def test_requests_and_speeds_of_a_motor_are_taken_whole_and_once():
     loop, given = made_loop("inchworm_travel", factor=0.02, plant_simulator={"late_limit": -1})
     loop.start()
@@ -266,6 +271,7 @@ def test_only_a_motor_is_asked_for_a_speed():
         loop.set(speed=1.0)
 
 
+@pytest.mark.slow
 def test_many_threads_may_steer_at_once():
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.start()

@@ -89,6 +89,7 @@ class Running:
         return made
 
 
+@pytest.mark.slow
 def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     # a feedforward across the axes without symmetry, whose references begin anew with each stop
     weights = [0.01, -0.03, 0.02, 0.0, -0.02, 0.03, 0.01, -0.02, 0.02, 0.01, -0.04, 0.01, 0.0, 0.02, -0.01, -0.01]
@@ -219,6 +220,7 @@ def test_a_refused_change_changes_nothing():
     assert one.loop.changes_of(0) == one.loop.changes_of(1) == []
 
 
+@pytest.mark.slow
 def test_a_fused_stage_of_one_axis_gives_the_bits_of_the_axis():
     mode = {"A": (0.9, 0.42, -0.42, 0.89), "B": (0.095, 0.42), "C": (1.0, 0.0)}
     common = {

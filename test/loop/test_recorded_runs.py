@@ -1530,6 +1530,7 @@ def test_other_processors_give_the_recorded_bits():
     assert not changed({name: recorded[name] for name in few}, other)
 
 
+@pytest.mark.slow
 def test_the_runs_use_every_choice_of_every_parameter(made):
     parameters = {**NODE_PARAMETERS, "stage": StageNodeParameters}
     missing = {

@@ -57,6 +57,7 @@ def test_without_coupling_each_loop_has_the_sensitivity_of_its_design():
         assert 1.0 / margin.alpha == pytest.approx(designed.sensitivity_peak, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_coupling_takes_from_the_margin_of_both_loops_together_and_decoupling_gives_it_back():
     coupled, decoupled, apart = (
         disk_margins(stage_loop(read(stage=values)), SAMPLE_TIME).together.alpha
@@ -66,6 +67,7 @@ def test_coupling_takes_from_the_margin_of_both_loops_together_and_decoupling_gi
     assert decoupled == pytest.approx(apart, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_running_stage_is_stable_up_to_the_gain_that_its_loop_tolerates():
     loop = stage_loop(read())
 

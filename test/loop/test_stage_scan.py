@@ -253,6 +253,7 @@ def test_between_the_samples_is_what_a_finer_grid_gives():
     assert np.max(np.abs(np.diff(found[:, :200]))) > 1e-8
 
 
+@pytest.mark.slow
 def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     scan = parsed_scan("raster", RASTER)
     run = hr.simulate("xy_scanner", scan=scan)
@@ -270,6 +271,7 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     assert hr.scan_run(hr.simulate("kim2009", duration=0.02)) is None
 
 
+@pytest.mark.slow
 def test_the_zero_of_the_sensors_is_no_error_of_a_scan():
     """References count from the zero of the controllers' models; the error does too, simulated or measured."""
     slow = ("width=2um", "depth=2um", "lines=4", "flyback=2", "line_rate=10Hz", "slow=ramped")
@@ -287,6 +289,7 @@ def test_the_zero_of_the_sensors_is_no_error_of_a_scan():
         assert found["rms_error_m"] == pytest.approx(bare["rms_error_m"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_stage_with_hysteresis_inside_is_judged_at_its_samples():
     configuration = with_scan(
         configured("steering_mirror"), "lissajous", ("width=0.4um", "depth=0.4um", "lines=3", "frame_rate=4Hz")

@@ -68,6 +68,7 @@ def test_an_axis_that_is_stopped_gives_its_trajectory_up():
     assert table["setpoint"][300] == table["reference"][119]
 
 
+@pytest.mark.slow
 def test_the_fused_loop_takes_holds_and_refuses_trajectories_as_its_twin_does():
     loop, given = made_loop(factor=SLOWLY, samples=60, **ANY_LATE)
     loop.start()

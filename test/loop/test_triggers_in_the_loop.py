@@ -143,6 +143,7 @@ def test_a_pulse_holds_the_reference_and_a_start_resumes_it():
     assert set(made["source_mode"][300:400]) == {STOPPED} and np.ptp(made["reference"][400:]) > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
 def test_pulses_step_the_setpoint_within_the_range_until_a_setpoint_comes(name):
     node = "inchworm_sequencer" if name == "inchworm_travel" else "reference_generator"
@@ -197,6 +198,7 @@ def test_a_recorded_run_with_pulses_has_its_twin():
     assert replace(found, number=np.array([1.0, 2.0, 5.0, 1.0, 2.0])).lost == 2
 
 
+@pytest.mark.slow
 def test_a_stage_triggers_at_the_lines_of_its_scan():
     words = ("width=2um", "depth=1um", "lines=3", "flyback=1", "frame_rate=25Hz", "turn=0.3")
     configuration = with_scan(load_configuration("xy_scanner"), "raster", words)

@@ -417,5 +417,6 @@ def test_a_plant_puts_out_holds_slews_to_safe_and_trips_and_says_which():
     assert trip_x[plant.TRIP] == plant.BEYOND_TRAVEL and trip_x[plant.LATE] == 3.0
 
 
+@pytest.mark.slow
 def test_compiled_and_interpreted_the_watch_has_the_same_bits(tmp_path):
     np.testing.assert_array_equal(same_in_both_forms(), interpreted("watch_support", "same_in_both_forms()", tmp_path))

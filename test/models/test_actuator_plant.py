@@ -97,6 +97,7 @@ def test_every_wrong_parameter_is_named_with_its_place():
     assert "sensor.noise" in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_equals_interpreted(tmp_path):
     other = interpreted("actuator_support", "outputs()", tmp_path)

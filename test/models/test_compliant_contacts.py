@@ -55,6 +55,7 @@ def walk(made, table, kernel=None):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_stiff_contacts_do_what_rigid_ones_do():
     table = forces(np.random.default_rng(2), 1500)
     table[:, 1:] = np.maximum(table[:, 1:], 2.0)  # rigid limits change at once, the others within the sample
@@ -133,6 +134,7 @@ def test_friction_takes_energy_and_never_gives_any(seed, damping, substeps):
         taken = made.x[friction.DISSIPATED]
 
 
+@pytest.mark.slow
 def test_same_bits_compiled_and_interpreted():
     table = forces(np.random.default_rng(3), 200)
     one, other = (slider(damping=0.03, substeps=3, external_force=-0.5) for _ in range(2))
@@ -170,6 +172,7 @@ def lost(load, rate, **changes):
 RIGID = {"compliance": 0.0, "damping": 0.0, "substeps": 1}
 
 
+@pytest.mark.slow
 def test_what_a_motor_holds_no_longer_depends_on_the_sample_rate():
     """Rigid contacts hold 4.4 N at 10 kHz and slip at 40 kHz, because only the step damps them; here ζ does."""
     assert abs(lost(4.4, 1e4, **RIGID)) < 1e-9 and lost(4.4, 4e4, **RIGID) > 1e-6

@@ -197,6 +197,7 @@ def test_no_sequence_breaks_the_laws(samples, force, ratio, mass, step):
         free = u
 
 
+@pytest.mark.slow
 @given(
     st.floats(-0.1, 0.1, **finite),
     st.floats(-2e-5, 2e-5, **finite),

@@ -127,6 +127,7 @@ def test_an_inverse_that_may_swing_is_warned_of():
     assert len(flat.warnings("hysteresis.")) == 1 and "hysteresis.slope" in flat.warnings("hysteresis.")[0]
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(shape=shapes, seed=st.integers(0, 1000), inverse=st.sampled_from(["exact", "general"]))
 def test_the_inverse_finds_every_voltage_again(shape, seed, inverse):

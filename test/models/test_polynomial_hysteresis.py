@@ -74,6 +74,7 @@ def test_falling_branch_goes_on_below_zero():
     assert expected < 0.0
 
 
+@pytest.mark.slow
 @given(turns=voltages)
 def test_output_is_continuous_at_every_reversal_for_any_coefficients(turns):
     """A tiny step in either direction from any turning point changes the output by a tiny amount only."""
@@ -155,6 +156,7 @@ def test_a_tiny_reversal_leads_back_onto_the_same_branch(inner, at):
     assert detour.step(voltage) == pytest.approx(direct.step(voltage), abs=1e-6 * STROKE)
 
 
+@pytest.mark.slow
 @given(turns=voltages, target=st.floats(-30.0, 160.0))
 @settings(max_examples=300)
 def test_inverse_of_forward_is_the_identity(turns, target):

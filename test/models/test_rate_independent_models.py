@@ -113,6 +113,7 @@ def test_loops_are_open_and_rise(name):
     assert 0.03 < (down[24] - up[24]) / (up[-1] - down[-1]) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_RETURN_POINTS)
 @settings(max_examples=50)
 @given(turns=voltages, inner=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), ahead=voltages)
@@ -157,6 +158,7 @@ def test_every_type_is_built_by_name_and_refuses_another_structure():
         block.retune(fewer)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_models_equal_interpreted_ones(tmp_path):
     other = interpreted("rate_independent_support", "outputs()", tmp_path)

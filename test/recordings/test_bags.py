@@ -432,6 +432,7 @@ def test_a_setpoint_is_written_when_it_changes(tmp_path):
     assert cdr.decode_float64s(found.data, "/setpoint").tolist() == [1e-6, 2e-6, 1e-6]
 
 
+@pytest.mark.slow
 @given(
     names=st.lists(st.text(max_size=9), min_size=1, max_size=5, unique=True),
     stamp=st.integers(-(2**60), 2**60),

@@ -140,6 +140,7 @@ bag.close()
 """
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_is_closed_with_what_it_has(tmp_path):
     answer = run_child(FULL, tmp_path / "bag")
     assert answer.stdout.strip() == f"{tmp_path / 'bag'}: cannot be written: {os.strerror(errno.EFBIG)}"

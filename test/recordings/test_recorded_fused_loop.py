@@ -51,6 +51,7 @@ def record(loop, bag, writer):
     assert not loop.failure
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for these rates")
 @pytest.mark.parametrize(("name", "factor"), [("kim2009", 1.0), ("kim2009", np.inf), ("inchworm_travel", np.inf)])
 def test_a_fused_run_is_recorded_whole_and_repeated_offline(tmp_path, name, factor):

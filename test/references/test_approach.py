@@ -46,6 +46,7 @@ def rest(a):
     return round(a.duration(STROKE) / TS) + 1
 
 
+@pytest.mark.slow
 @given(limits, sequences)
 @settings(deadline=None, max_examples=150)
 def test_bounds_hull_and_arrival_for_any_setpoints(limit, sequence):

@@ -276,6 +276,7 @@ def test_continuous_walking_keeps_its_speed_and_then_holds(part):
     motor.never_both_open()
 
 
+@pytest.mark.slow
 def test_least_squares_find_gain_and_offset_and_stay_bounded():
     x = np.zeros(inchworm_steps.SIZE)
     inchworm_steps.forget_all(x, 0, 1.0, 0.0)

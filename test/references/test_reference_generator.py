@@ -30,6 +30,7 @@ def build(*mappings, **own):
     return ReferenceGenerator(ReferenceParameters.from_mapping({**merged, **own}), TS)
 
 
+@pytest.mark.slow
 def test_reference_is_approach_plus_waveform():
     g = build(SINE)
     k = np.arange(500)

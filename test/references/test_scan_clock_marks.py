@@ -49,6 +49,7 @@ def table(marks) -> np.ndarray:
     return np.column_stack([marks.sample, marks.frame, marks.line, marks.pixel, marks.direction])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("name", SCANS)
 def test_it_is_the_clock_of_the_path(name, rate):

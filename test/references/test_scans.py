@@ -110,6 +110,7 @@ def test_the_third_axis_follows_the_plane(scan):
     assert np.allclose([u, v], scan.plane(dense(scan, 1000) * scan.rate), rtol=0.0, atol=1e-16)
 
 
+@pytest.mark.slow
 def test_peaks_are_reached_and_never_exceeded(scan):
     time = dense(scan)
     low, high = scan.extent()
@@ -164,6 +165,7 @@ DRAWN = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(DRAWN)
 def test_peaks_hold_whatever_the_parameters(drawn):
@@ -178,6 +180,7 @@ def test_peaks_hold_whatever_the_parameters(drawn):
         assert np.all(np.max(np.abs(scan.derivative(time, order)), axis=1) <= scan.peak(order) * (1.0 + 1e-9))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(DRAWN, st.floats(0.01, 100.0), st.sampled_from(["velocity", "acceleration", "jerk", "bandwidth"]))
 def test_a_limit_refuses_with_the_factor_and_a_period_that_passes(drawn, factor, name):
@@ -306,6 +309,7 @@ def test_the_core_and_the_rim_of_a_spiral_join_smoothly(name):
             assert np.max(np.abs(after - before)) < 1e-4 * np.max(scan.peak(order)), (at, order)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["cav", "clv"])
 def test_the_arms_of_a_spiral_are_as_far_apart_as_stated(law):
     scan = scan_of("spiral", dict(diameter=80e-6, turns=20, law=law, pixels=64))
@@ -331,6 +335,7 @@ def test_a_line_of_a_spiral_is_the_same_ring_outwards_and_inwards(law):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines, width, depth", [(24, 80e-6, 80e-6), (31, 100e-6, 40e-6)])
 def test_the_gap_of_a_lissajous_scan_is_its_largest_empty_circle(lines, width, depth):
     scan = scan_of("lissajous", dict(width=width, depth=depth, lines=lines))

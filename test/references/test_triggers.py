@@ -82,6 +82,7 @@ def passed(positions, measured, rearm: float, up: bool) -> list[tuple[int, float
 paths = st.lists(st.integers(-40, 40), min_size=2, max_size=60)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     way=paths,

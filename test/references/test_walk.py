@@ -403,6 +403,7 @@ def test_a_slider_that_oscillates_follows_a_correction_that_leads_by_its_dynamic
     assert np.max(np.abs(moved - wanted)) < 0.02 * np.max(wanted)
 
 
+@pytest.mark.slow
 def test_the_extender_leads_by_the_acceleration_of_path_and_correction():
     walk = replace(WALK, swing=300.0, swing_damping=0.2, resonance=635.0)
     sequencer = InchwormSequencer(replace(PARAMETERS, walk=walk), 1.0 / RATE)

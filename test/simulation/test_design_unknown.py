@@ -131,6 +131,7 @@ def test_without_the_bound_the_same_controllers_are_unstable():
         assert any(radius(bold.parameters, plant) > 1.0 for _, plant in plants()), "the plants are too easy"
 
 
+@pytest.mark.slow
 def test_the_gain_of_the_feedback_stays_below_what_is_printed(designs):
     frequencies = np.geomspace(UNSEEN * SLOW.known_to * 1.01, 0.5 * RATE, 300)
     for design in filter(None, designs.values()):
@@ -315,6 +316,7 @@ def test_a_roll_off_gives_a_crossover_that_an_integrator_alone_does_not_have(rol
     assert np.min(distance) > 0.19 and np.max(1.0 / np.abs(1.0 + loop)) < 1.65
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 1.0])
 def test_the_rolled_off_loop_is_stable_on_every_resonance_even_a_sample_late(rolled, late):
     for frequency, plant in unseen_plants(late):

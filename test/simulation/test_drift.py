@@ -38,6 +38,7 @@ def test_a_plant_has_drifted_by_what_was_asked_for_and_never_jumped(gain, openin
     assert steps.max() < 1.5 * np.percentile(steps, 99)
 
 
+@pytest.mark.slow
 def test_without_drift_a_run_is_as_it_was_and_with_it_the_inverse_follows():
     given = adapting()
     plain, none = (simulate(given, duration=2.0, **words) for words in ({}, {"drift": (0.0, 0.0)}))

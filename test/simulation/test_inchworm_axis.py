@@ -91,6 +91,7 @@ def test_walking_is_as_fast_as_stroke_times_frequency():
     assert speed(axis, 6000) == pytest.approx(axis.source.sequencer.parameters.gait.speed, rel=0.05)
 
 
+@pytest.mark.slow
 @slow
 @pytest.mark.parametrize("learning", [True, False])
 def test_compensated_hysteresis_spreads_step_lengths_at_least_five_times_less(learning):
@@ -98,6 +99,7 @@ def test_compensated_hysteresis_spreads_step_lengths_at_least_five_times_less(le
     assert spread["exact"] < 0.2 * spread["none"]
 
 
+@pytest.mark.slow
 @slow
 @pytest.mark.parametrize("plant", [None, LOADED])
 def test_no_random_sequence_opens_both_clamps_breaks_limits_or_runs_away(plant):

@@ -68,6 +68,7 @@ def test_a_static_feedforward_is_part_of_the_closed_loop():
     np.testing.assert_allclose(closed_loop(fed, NEAR).model, closed_loop(node, NEAR).model, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["inversion", "norm_optimal"])
 def test_in_ten_periods_on_another_plant_the_error_falls_to_less_than_a_tenth(kind):
     configuration = stage()
@@ -93,6 +94,7 @@ def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_comman
         assert 0.0 < given.late_recovery <= given.recovery, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words, expected",
     [
@@ -115,6 +117,7 @@ def test_wrong_words_are_refused_in_one_line(tmp_path, words, expected):
     assert not (tmp_path / "out.yaml").exists()
 
 
+@pytest.mark.slow
 def test_a_designed_file_keeps_all_else_and_another_controller_takes_the_learning_away():
     configuration = stage()
     text = learning_file(configuration, design_learning(single_axis(configuration), LearningRequest("inversion")), "")

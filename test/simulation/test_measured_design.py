@@ -67,6 +67,7 @@ def test_margins_on_the_measured_plant_stand_beside_those_of_the_model(unit, gai
     assert not any(line.startswith("note") for line in measured_lines(axis, result, noisy))
 
 
+@pytest.mark.slow
 def test_two_samples_that_the_model_does_not_know_are_said_and_a_model_with_them_bears_them():
     measured = response(late=2)
     axis, result = designed(response())
@@ -102,6 +103,7 @@ def test_a_design_is_slowed_where_nothing_was_measured():
     assert known.known_to == 799.0 and known.at([600.0])[0] < 0.02 and known.at([1499.0])[0] > 1.0
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_the_axis_is_refused(tmp_path):
     axis = single_axis(load_configuration("kim2009"))
     with pytest.raises(ConfigurationError, match="measured at a sample rate of 2000 Hz, but the axis runs at 3000 Hz"):

@@ -128,6 +128,7 @@ def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller)
         assert "bandwidth reached       10 Hz" in result.output
 
 
+@pytest.mark.slow
 def test_a_design_of_a_design_replaces_its_header_and_section(tmp_path):
     assert run(PICMA, "--controller", "pid", "-o", tmp_path / "f.yaml").exit_code == 0
     assert run(tmp_path / "f.yaml", "--controller", "offset_free", "-o", tmp_path / "f.yaml").exit_code == 0
@@ -165,6 +166,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "text"), REFUSED)
 def test_requests_that_cannot_be_met_end_in_one_line(tmp_path, words, text):
     result = run(PICMA, *words, "-o", tmp_path / "f.yaml")
@@ -263,6 +265,7 @@ def test_feedforward_and_tuning_from_the_command_line(tmp_path):
     assert values["feedforward.type"] == "inverse_dynamics" and values["feedforward.preview"] >= 1
 
 
+@pytest.mark.slow
 def test_a_robust_design_says_for_which_plants_it_is(tmp_path):
     ranges = ["--draws", 2, "--seed", 7, "--gain-range", 0.1]
     result = run(PICMA, "--controller", "pid", "--robust", *ranges, "-o", tmp_path / "f.yaml")
@@ -309,6 +312,7 @@ def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
     assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]
 
 
+@pytest.mark.slow
 def test_a_damping_of_the_file_is_compared_with_the_design_that_has_none(monkeypatch):
     asked, with_damping = [], controller.with_damping
 

@@ -25,6 +25,7 @@ from hysteresis_ros.models.block import COMPILED
 WALK = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 def test_what_is_learned_at_one_speed_is_used_at_another():
     ((before, after),) = compared(3, parts=(2.0,), cycles=9, kick=1e-9).values()

@@ -334,6 +334,7 @@ def test_the_interval_covers_every_share(runs, confidence):
         assert np.sum(chances[covered]) >= confidence - 1e-12
 
 
+@pytest.mark.slow
 def test_the_yield_is_that_of_the_distribution():
     """For an error with uniform distribution; runs that are unstable, refused or without a value are not good."""
     study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=500)
@@ -475,6 +476,7 @@ def test_two_sweeps_do_not_write_into_one_file(tmp_path):
     sweep(*asked(), path, workers=1, progress=meanwhile)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_shown(config, tmp_path):
     words = ["--vary", "plant_simulator.gain=0.9:1.1:lin3", "--vary", "plant_simulator.sensor.noise=uniform(0,1nm)"]
     words += ["--runs", "30", "--bound", "rms_error_m=100nm", "--json", tmp_path / "f.json"]

@@ -78,6 +78,7 @@ def test_the_worst_run_is_the_one_of_the_largest_size_whatever_its_sign():
     assert Summary(nothing, asked(runs=4)[1]).worst("overshoot_percent") is None
 
 
+@pytest.mark.slow
 def test_a_sensitivity_of_which_runs_are_missing_is_none_and_says_how_many():
     _, plan = asked(runs=64, design="morris")
     count = len(plan.designed)
