@@ -23,7 +23,7 @@ BRIEFLY := awk '/Downloading .*MB\)/ { gsub(/[(]/, "", $$(NF-1)); if ($$(NF-1) >
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: help setup setup-all tools demo quick test coverage kernels lint format docs bench ci clean
+.PHONY: help setup setup-all tools demo quick quick-tests test coverage kernels lint format docs bench ci clean
 .DELETE_ON_ERROR:
 
 help:
@@ -43,7 +43,10 @@ demo: setup
 	$(BIN)/hysteresis demo -o demo
 
 # What starts no nodes, repeats no paper and is not marked slow: while one works.
-quick: setup lint
+quick: setup
+	$(MAKE) --no-print-directory -j2 lint quick-tests
+
+quick-tests: setup
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" $(addprefix --ignore=test/,nodes cli commissioning comparison papers fuzzing docs) \
 		--ignore=test/test_install.py --ignore=test/test_extending.py
 
@@ -84,8 +87,8 @@ lint: setup $(VENV)/lint-tools
 	$(BIN)/mypy
 	$(BIN)/codespell
 	$(BIN)/python test/wording.py
-	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
-	$(BIN)/numpydoc lint $(filter %/api.py %/designing.py %/studies.py %/swept.py %/classes.py %/inverse_classes.py hysteresis_ros/__init__.py,$(MODULES))
+	@$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
+	@$(BIN)/numpydoc lint $(filter %/api.py %/designing.py %/studies.py %/swept.py %/classes.py %/inverse_classes.py hysteresis_ros/__init__.py,$(MODULES))
 
 format: $(VENV)/lint-tools
 	$(BIN)/ruff check --fix .
