@@ -208,3 +208,8 @@ def readable(value: float, unit: str) -> str:
         milli = abs(value) >= 1e-3
         return f"{1e3 * value:.4g} m{unit}" if milli else f"{1e6 * value:.4g} µ{unit}"
     return f"{value:.4g} {unit}".rstrip()
+
+
+def micrometres(*lengths: float) -> str:
+    """Return lengths [m] in µm with six digits, several as a range: ``0 … 12 µm``."""
+    return " … ".join(f"{1e6 * length:.6g}" for length in lengths) + " µm"

@@ -39,6 +39,7 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
+from hysteresis_ros.units import micrometres
 
 #: Tolerance of a reference beyond the stroke, as a fraction of it, for rounding and integrated sweeps.
 TOLERANCE = 1e-4
@@ -93,8 +94,8 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):
         if beyond:
             found.append(
-                f"reference_generator: {name} = {_micro(getattr(given, name))} is beyond the range of the "
-                f"compensator's model, {_range(low, high)}: setpoints beyond it saturate"
+                f"reference_generator: {name} = {micrometres(getattr(given, name))} is beyond the range of the "
+                f"compensator's model, {micrometres(low, high)}: setpoints beyond it saturate"
             )
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
@@ -118,9 +119,9 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
     low, high = reachable_displacements(axis)
     slack = TOLERANCE * (high - low)
     limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
-    reached = f"{_range(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
+    reached = f"{micrometres(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
     if not low - slack <= around <= high + slack:
-        remedy = f"{_micro(around)} is out of range: the compensator's model reaches {reached}"
+        remedy = f"{micrometres(around)} is out of range: the compensator's model reaches {reached}"
         yield Problem("reference_generator: initial_setpoint", around, remedy)
         return
     waveform = generator.waveform
@@ -128,8 +129,9 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
         if not low - slack <= value <= high + slack:
             name = given.waveform.shape.extent
             remedy = (
-                f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
-                f"of range: the compensator's model reaches {reached}; change the waveform or widen the limits"
+                f"the waveform {given.waveform.type} around the setpoint {micrometres(around)} goes to "
+                f"{micrometres(value)}, out of range: the compensator's model reaches {reached}; change the "
+                "waveform or widen the limits"
             )
             yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], remedy)
             return
@@ -162,21 +164,13 @@ def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, m
     slack = margin * (high - low)
     room = min(middle - low, high - middle) + slack
     if half > passed * room:
-        needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
+        needed = micrometres(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
         remedy = (
             f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % at this frequency: the "
-            f"{waveform.type} needs commands of {needed}, but the range is {_range(low, high)}; lower frequency or "
-            "amplitude"
+            f"{waveform.type} needs commands of {needed}, but the range is {micrometres(low, high)}; lower frequency "
+            "or amplitude"
         )
         yield Problem("reference_generator: waveform.frequency", waveform.frequency, remedy)
-
-
-def _micro(value: float) -> str:
-    return f"{value * 1e6:.6g} µm"
-
-
-def _range(low: float, high: float) -> str:
-    return f"{low * 1e6:.6g} … {high * 1e6:.6g} µm"
 
 
 def axes(configuration: Configuration, namespace: str | None = None) -> list[AxisParameters]:

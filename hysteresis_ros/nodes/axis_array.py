@@ -43,6 +43,7 @@ from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.spin import given_configuration, refused, run
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
 from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.units import micrometres
 
 #: Topics of the array.
 SETPOINTS, VOLTAGES, JOINT_STATES = "setpoints", "voltages", "joint_states"
@@ -312,8 +313,8 @@ class AxisArrayNode(AxisNode):
         wrong = np.flatnonzero(~((wanted >= low) & (wanted <= high)))
         if wrong.size:
             first = wrong[0]
-            allowed = f"allowed: {low[first]:g} … {high[first]:g} m"
-            return f"axis {axes[first]}: setpoint {wanted[first]:g} m is out of range, {allowed}"
+            allowed = f"allowed: {micrometres(low[first], high[first])}"
+            return f"axis {axes[first]}: setpoint {micrometres(wanted[first])} is out of range, {allowed}"
         self._setpoints = self._setpoints.copy()
         self._setpoints[axes] = wanted
         self._record_setpoints()

@@ -34,6 +34,7 @@ from hysteresis_ros.loop.parameters import CompensatorNodeParameters, Controller
 from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.references.moves import Noise, NoiseMeter, Readiness
+from hysteresis_ros.units import micrometres, readable
 
 if TYPE_CHECKING:
     from hysteresis_ros.loop.ready import Predictor
@@ -284,7 +285,7 @@ class ReadyTopics:
         self._tell(False, math.nan)
         noise = self.noise or Noise(0.0, 0.0)
         if tolerance < noise.least_tolerance and tolerance > 0.0:
-            node.warn("ready", f"ready.tolerance = {tolerance:g} m: {self._too_small(noise)}")
+            node.warn("ready", f"ready.tolerance = {readable(tolerance, 'm')}: {self._too_small(noise)}")
         if tolerance <= 0.0 or tolerance < noise.least_tolerance or node.parameters.waveform.type != "hold":
             self._moved = True
             return
@@ -363,8 +364,9 @@ class ReadyTopics:
 
     def _too_small(self, noise: Noise) -> str:
         return (
-            f"the displacement at rest has {noise.displacement:.3g} m RMS of noise (sensor {noise.sensor:.3g} m), so "
-            f"it is within {noise.least_tolerance:.3g} m during 99 % of the time; give at least that"
+            f"the displacement at rest has {readable(noise.displacement, 'm')} RMS of noise "
+            f"(sensor {readable(noise.sensor, 'm')}), so it is within "
+            f"{readable(noise.least_tolerance, 'm')} during 99 % of the time; give at least that"
         )
 
     def _refusal(self, given: dict[str, float]) -> str:
@@ -379,7 +381,7 @@ class ReadyTopics:
         if tolerance == 0.0 and TOLERANCE not in given:
             return "a move needs a tolerance > 0 m: state one, or set ready.tolerance"
         if not 0.0 < tolerance < math.inf:
-            return f"tolerance {tolerance:g} m refused: must be > 0"
+            return f"tolerance {readable(tolerance, 'm')} refused: must be > 0"
         if not 0.0 <= dwell < math.inf:
             return f"dwell {dwell:g} s refused: must be a number of seconds >= 0"
         if waveform != "hold":
@@ -388,7 +390,7 @@ class ReadyTopics:
             samples = NoiseMeter.SETTLED + NoiseMeter.FEWEST
             return f"the noise is not measured yet: let the axis rest for {REST:g} s and {samples} samples"
         if tolerance < noise.least_tolerance:
-            return f"tolerance {tolerance:g} m refused: {self._too_small(noise)}"
+            return f"tolerance {readable(tolerance, 'm')} refused: {self._too_small(noise)}"
         return ""
 
     def _on_move(self, request, response):
@@ -402,7 +404,7 @@ class ReadyTopics:
         else:
             reason = node.part.generator.refuse(given[SETPOINT]) or self._refusal(given)
         if reason:
-            node.refuse("move", f"{reason}; {node.setpoint:.6g} m is kept")
+            node.refuse("move", f"{reason}; {micrometres(node.setpoint)} is kept")
             result.successful, result.reason = False, reason
             return response
         own, target = node.parameters.ready, given[SETPOINT]

@@ -22,6 +22,7 @@ from hysteresis_ros.nodes.qos import chosen_qos, latched_qos, loop_qos, setpoint
 from hysteresis_ros.nodes.responder import Responder
 from hysteresis_ros.nodes.triggers import INPUT, TriggerTopic
 from hysteresis_ros.nodes.triggers import NAMES as TRIGGER_NAMES
+from hysteresis_ros.units import micrometres
 
 #: Interval of the check for missing samples, and the time they may be missing [s].
 LOOK, SILENCE = 0.1, 0.3
@@ -175,7 +176,7 @@ class ReferenceSource(Responder):
         """Take a setpoint [m] and publish it, or refuse it; publish and return the reason."""
         reason = self.take_setpoint(value)
         if reason:
-            reason = f"{reason}; {self.setpoint:.6g} m is kept"
+            reason = f"{reason}; {micrometres(self.setpoint)} is kept"
             self.refuse("setpoint", reason)
         else:
             self._taken.publish(Float64(data=value))
@@ -201,7 +202,7 @@ class ReferenceSource(Responder):
         else:
             allowed = f"allowed: one, the position of '{self.parameters.joint}' in m"
             self.refuse(
-                "commands", f"commands has {len(message.data)} numbers, {allowed}; {self.setpoint:.6g} m is kept"
+                "commands", f"commands has {len(message.data)} numbers, {allowed}; {micrometres(self.setpoint)} is kept"
             )
 
     def refuse(self, key: str, reason: str) -> None:

@@ -49,7 +49,7 @@ from hysteresis_ros.references.trajectory import (
     note_motion,
 )
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
-from hysteresis_ros.units import readable
+from hysteresis_ros.units import micrometres, readable
 
 #: Parameters and state of the range: FADE is the difference between the held reference and the setpoint at a start with
 #: an unlimited approach. It fades out over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes through an
@@ -323,9 +323,9 @@ class ReferenceGenerator(Chain):
         waveform = self.waveform
         around = ""
         if waveform.lowest != 0.0 or waveform.highest != 0.0:
-            around = f" with the waveform {waveform.lowest:g} … {waveform.highest:g} m added"
+            around = f" with the waveform {micrometres(waveform.lowest, waveform.highest)} added"
         reason = "out of range" if math.isfinite(setpoint) else "not a finite number"
-        return f"setpoint {setpoint:g} m refused: {reason}, allowed: {low:g} … {high:g} m{around}"
+        return f"setpoint {micrometres(setpoint)} refused: {reason}, allowed: {micrometres(low, high)}{around}"
 
     @property
     def waits(self) -> bool:

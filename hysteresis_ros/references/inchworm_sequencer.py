@@ -70,6 +70,7 @@ from hysteresis_ros.references.inchworm_steps import (
     weigh,
 )
 from hysteresis_ros.references.inchworm_walk import begin_walk, coast, stride
+from hysteresis_ros.units import micrometres
 
 #: First key of a file of a learned walk.
 KIND = "inchworm_walk"
@@ -567,7 +568,7 @@ class InchwormSequencer(Block):
         if low <= setpoint <= high:
             return None
         reason = "outside of the travel" if math.isfinite(setpoint) else "not a finite number"
-        return f"setpoint {setpoint:g} m refused: {reason}, allowed: {low:g} … {high:g} m"
+        return f"setpoint {micrometres(setpoint)} refused: {reason}, allowed: {micrometres(low, high)}"
 
     def request(self, code: int) -> None:
         """Request start, stop, home or release (codes of the layout), beginning with the next sample.

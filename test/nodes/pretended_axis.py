@@ -84,7 +84,7 @@ class Pretended:
     def move(self, metres: float) -> None:
         self.asked.append(metres)
         if metres > 1e-5:
-            self.refusals = [*self.refusals, f"setpoint {metres:g} m refused: out of range"]
+            self.refusals = [*self.refusals, f"setpoint {1e6 * metres:g} µm refused: out of range"]
         else:
             self.put(setpoint=metres)
 

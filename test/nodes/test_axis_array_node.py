@@ -114,8 +114,8 @@ def test_setpoints_of_all_or_some_axes_move_them_and_the_run_is_that_of_the_arra
         (setpoints_of(1e-6, 2e-6), "2 numbers for 12 axes"),
         (setpoints_of(1e-6, 2e-6, label="3, 12"), "label '3, 12' is not a list of different axes 0 … 11"),
         (setpoints_of(1e-6, 2e-6, label="3, 3"), "is not a list of different axes"),
-        (setpoints_of(1e-6, 1.0, label="3,5"), "axis 5: setpoint 1 m is out of range, allowed: 0 … 1.2e-05 m"),
-        (setpoints_of(math.nan), "axis 0: setpoint nan m"),
+        (setpoints_of(1e-6, 1.0, label="3,5"), "axis 5: setpoint 1e+06 µm is out of range, allowed: 0 … 12 µm"),
+        (setpoints_of(math.nan), "axis 0: setpoint nan µm"),
     ):
         known = len(refused)
         sender.publish(wrong)

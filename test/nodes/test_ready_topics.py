@@ -100,10 +100,10 @@ def test_a_move_is_predicted_and_then_measured(axis, heard, client, capsys):
 @pytest.mark.parametrize(
     ("value", "tolerance", "dwell", "words"),
     [
-        (6e-6, 1e-10, None, r"tolerance 1e-10 m refused: .* within \S+e-09 m during 99 % of the time; give at least"),
+        (6e-6, 1e-10, None, r"tolerance 0.1 nm refused: .* within \S+ nm during 99 % of the time; give at least"),
         (6e-6, None, None, "needs a tolerance > 0 m: state one, or set ready.tolerance"),
         (6e-6, 20e-9, -1.0, "dwell -1 s refused"),
-        (50e-6, 20e-9, None, r"5e-05 m refused: out of range, allowed: 0 … 1.2e-05 m"),
+        (50e-6, 20e-9, None, r"setpoint 50 µm refused: out of range, allowed: 0 … 12 µm"),
     ],
 )
 def test_a_move_that_cannot_become_ready_moves_nothing(axis, client, value, tolerance, dwell, words):
@@ -128,7 +128,7 @@ def test_a_tolerance_of_the_axis_holds_for_setpoints_and_the_deadband_for_moves(
 def test_a_refused_move_ends_with_exit_code_2(axis, client, capsys):
     given = {"value": 6e-6, "tolerance": 1e-12, "dwell": None}
     assert done({"command": "move", "namespace": "left", "timeout": 60.0, **given}, lambda *_: nullcontext(client)) == 2
-    assert "tolerance 1e-12 m refused" in capsys.readouterr().err
+    assert "tolerance 0.001 nm refused" in capsys.readouterr().err
 
 
 class Monitor:
@@ -419,7 +419,7 @@ def requested(given, noise=1e-9, waveform="hold", setpoint=5e-6, moving=False, d
         ([("setpoint", 5e-6), ("setpoint", 6e-6)], {}, "move takes"),
         ([("setpoint", 1.0)], {}, "out of range"),
         ([("setpoint", 6e-6)], {"tolerance": 0.0}, "a move needs a tolerance > 0"),
-        ([("setpoint", 6e-6), ("tolerance", 0.0)], {}, "tolerance 0 m refused: must be > 0"),
+        ([("setpoint", 6e-6), ("tolerance", 0.0)], {}, "tolerance 0 µm refused: must be > 0"),
         ([("setpoint", 6e-6), ("tolerance", math.inf)], {}, "must be > 0"),
         ([("setpoint", 6e-6), ("tolerance", math.nan)], {}, "must be > 0"),
         ([("setpoint", 6e-6), ("dwell", -1e-3)], {}, "dwell -0.001 s refused"),

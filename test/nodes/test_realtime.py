@@ -94,7 +94,7 @@ def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused
     assert references[-1].position[0] == 5.0e-6  # the last valid setpoint is kept
     # throttled: one warning for the three messages, with value and range
     assert node.output.count("refused") == 1
-    assert "nan" in node.output and "1.2e-05" in node.output and "5e-06 m is kept" in node.output
+    assert "nan" in node.output and "12 µm" in node.output and "5 µm is kept" in node.output
     names = {f"/{name}" for name in ("plant_simulator", "reference_generator", "motion_controller")}
     until(lambda: all(diagnostics(reports, name) for name in (*names, "/hysteresis_compensator")))
     for name in (*names, "/hysteresis_compensator"):

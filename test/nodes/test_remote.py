@@ -75,7 +75,7 @@ def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys)
     setpoint(client, 5.0e-6)
     assert "setpoint 5 µm taken by /left/reference_generator" in capsys.readouterr().out
     assert node(axis, "reference_generator").setpoint == 5.0e-6
-    with pytest.raises(HysteresisError, match=r"5e-05 m refused: out of range, allowed: 0 … 1.2e-05 m"):
+    with pytest.raises(HysteresisError, match=r"50 µm refused: out of range, allowed: 0 … 12 µm"):
         setpoint(client, 5.0e-5)
     call(client, "reference_generator", "stop")
     with pytest.raises(HysteresisError, match=r"is stopped: `hysteresis call /left/reference_generator start`"):

@@ -58,7 +58,7 @@ def test_commands_are_done_by_the_session_of_the_axis(kept, processes):
     taken = _without_ros(processes, "setpoint", "5um")
     assert taken.wait() == 0 and taken.output.endswith("setpoint 5 µm taken by /reference_generator\n")
     refused = _without_ros(processes, "setpoint", "5mm")
-    assert refused.wait() == 2 and "hysteresis: /reference_generator: setpoint 0.005 m refused" in refused.output
+    assert refused.wait() == 2 and "hysteresis: /reference_generator: setpoint 5000 µm refused" in refused.output
     asked = _without_ros(processes, "get", "motion_controller", "type")
     assert asked.wait() == 0 and asked.output == "type: sliding_mode\n"
     heard = _without_ros(processes, "echo", "joint_states", "--count", "3")

@@ -158,7 +158,7 @@ def test_tools_of_ros2_control_drive_the_axis_by_the_topics_of_a_controller(axis
     commands.publish(Float64MultiArray(data=[4e-6]))
     until(lambda: axis.source.setpoint == 4e-6, what="the setpoint of an array")
     for wrong, words in (
-        ([], "commands has 0 numbers, allowed: one, the position of 'extender' in m; 4e-06 m is kept"),
+        ([], "commands has 0 numbers, allowed: one, the position of 'extender' in m; 4 µm is kept"),
         ([1e-6, 2e-6], "commands has 2 numbers"),
         ([float("nan")], "nan"),
         ([1.0], "out of range"),

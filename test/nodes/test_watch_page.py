@@ -111,7 +111,7 @@ def test_a_page_steers_and_records_an_axis_that_may_leave_and_return(watched):
         # requests to the axis, and messages of the nodes
         assert (await page.ask(do="setpoint", value="4um"))[0]
         ok, why = await page.ask(do="setpoint", value="400um")
-        assert not ok and "setpoint 0.0004 m refused: out of range, allowed: 0 … 1.2e-05 m" in why
+        assert not ok and "setpoint 400 µm refused: out of range, allowed: 0 … 12 µm" in why
         assert (await page.ask(do="set", node="motion_controller", values={"sliding_mode.phi": "0.9"}))[0]
         await page.until(lambda: page.values["motion_controller"]["sliding_mode.phi"] == 0.9)
         ok, why = await page.ask(do="set", node="motion_controller", values={"sliding_mode.phi": "3"})

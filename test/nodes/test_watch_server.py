@@ -142,7 +142,7 @@ def test_a_setpoint_is_answered_and_a_refusal_is_the_nodes_own():
         taken = await page.ask(do="setpoint", value="5um")
         assert taken["ok"] and bench.link.asked == [5e-6]
         refused = await page.ask(do="setpoint", value="50um")
-        assert not refused["ok"] and refused["text"] == "setpoint 5e-05 m refused: out of range"
+        assert not refused["ok"] and refused["text"] == "setpoint 50 µm refused: out of range"
         again = await page.ask(do="setpoint", value="50um")
         assert not again["ok"] and again["text"] == refused["text"], "the same refusal twice"
         refused = await page.ask(do="set", node="motion_controller", values={"pid.Kp": "nan"})

@@ -156,7 +156,7 @@ def test_release_lets_go_with_the_front_clamp_only_and_home_goes_home():
 
 def test_setpoints_outside_of_the_travel_are_refused_with_the_range_and_change_nothing():
     motor = Motor()
-    assert "-0.005 … 0.005 m" in motor.sequencer.refuse(6e-3)
+    assert "-5000 … 5000 µm" in motor.sequencer.refuse(6e-3)
     assert motor.sequencer.refuse(math.nan) and motor.sequencer.refuse(5e-3) is None
     motor.run(20e-6, 0.5, lambda: motor.sequencer.arrived)
     for wrong in (6e-3, math.nan, -math.inf):

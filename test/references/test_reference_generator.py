@@ -137,8 +137,7 @@ def test_refused_setpoint_says_value_and_range_and_changes_nothing(bad):
     g = build()
     g.step(4e-6)
     message = g.refuse(bad)
-    assert f"{bad:g}" in message
-    assert "0 … 1.5e-05 m" in message
+    assert f"setpoint {1e6 * bad:g} µm refused" in message and "0 … 15 µm" in message
     assert g.step(bad) == 4e-6
     assert g.setpoint == 4e-6
 
@@ -151,7 +150,7 @@ def test_good_setpoints_are_not_refused():
 def test_setpoints_leave_room_for_the_waveform():
     g = build(SINE)
     assert g.refuse(8e-6) is None
-    assert "with the waveform 3e-06 … 7e-06 m" in g.refuse(8.1e-6)
+    assert "with the waveform 3 … 7 µm" in g.refuse(8.1e-6)
 
 
 @pytest.mark.parametrize(

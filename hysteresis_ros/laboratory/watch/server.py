@@ -48,6 +48,7 @@ from hysteresis_ros.laboratory.watch.views import View
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.remote.commands import stands
 from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
+from hysteresis_ros.units import micrometres
 
 #: Frames per second; intervals of the status, of the spectrum and of the plane [s].
 FRAMES, STATUS, SPECTRUM, PLANE = 25.0, 0.25, 0.5, 0.25
@@ -337,16 +338,16 @@ class Server:
         return "this page has the control"
 
     async def _on_setpoint(self, page: Page, metres: float) -> str:
-        await self._given("setpoint", metres, "m", self.link.move)
-        return f"setpoint {1e6 * metres:g} µm accepted"
+        await self._given("setpoint", metres, micrometres(metres), self.link.move)
+        return f"setpoint {micrometres(metres)} accepted"
 
     async def _on_speed(self, page: Page, speed: float) -> str:
         self._require_motor("has a speed")
-        await self._given("speed", speed, "m/s", self.link.walk)
+        await self._given("speed", speed, f"{speed:g} m/s", self.link.walk)
         return f"walks at {1e6 * speed:g} µm/s" if speed else "holds its position until the next setpoint"
 
-    async def _given(self, name: str, value: float, unit: str, give: Callable[[float], None]) -> None:
-        """Send the reference source a value, and wait until a sample shows that it is in use."""
+    async def _given(self, name: str, value: float, shown: str, give: Callable[[float], None]) -> None:
+        """Send the reference source a value, ``shown`` so in refusals; wait until a sample shows that it is in use."""
         link = self.link
         if not link.memory.is_live:
             raise HysteresisError(f"the axis is silent: no node would receive the {name}")
@@ -355,7 +356,7 @@ class Server:
         deadline = time.monotonic() + SETPOINT
         while time.monotonic() < deadline:
             new = link.refusals if (len(link.refusals), link.refusals[-1:]) != before else []
-            refused = next((text for text in reversed(new) if text.startswith(f"{name} {value:g} {unit} refused")), "")
+            refused = next((text for text in reversed(new) if text.startswith(f"{name} {shown} refused")), "")
             if refused:
                 raise HysteresisError(refused)
             if math.isclose(link.memory.value(signals.place(name)), value, rel_tol=1e-12, abs_tol=1e-15):
