@@ -397,6 +397,11 @@ class ModalSearch:
         left = np.maximum(aa * bb - ab**2, 1e-12 * np.maximum(aa * bb, np.finfo(float).tiny))
         return np.sum(np.abs(rest) ** 2) - (bb * at**2 - 2.0 * ab * at * bt + aa * bt**2) / left
 
+    def with_short_delays(self, trial: ModalTrial) -> np.ndarray:
+        """Return the values of a trial with lag and delay of typical size, two samples and one."""
+        head = [np.log(2.0 * self.T)] * trial.structure.lag + [1.0] * trial.structure.delay
+        return np.append(head, trial.values[len(head) :])
+
     def fit(self, structure: ModalStructure, starts, evaluations: int = MOST_EVALUATIONS) -> ModalTrial:
         """Return the best trial of a structure from several starts."""
         from scipy.optimize import least_squares  # imported here because only fits need it
@@ -655,11 +660,16 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
+    # lag and delay that stood for the missing mode lead to a local minimum, so each frequency starts without them, too
+    heads = (trial.values, search.with_short_delays(trial))
     for _, (frequency, damping) in sorted(found):
-        if len(starts) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
+        if len(taken) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
             taken.append(frequency)
-            starts.append(np.append(trial.values, np.log([frequency, damping])))
-    return search.fit(structure, starts)
+            starts += [np.append(head, np.log([frequency, damping])) for head in heads]
+    ahead = sorted(
+        (search.fit(structure, [start], SCREENED) for start in starts), key=lambda one: search.cost(one.response)
+    )
+    return search.fit(structure, [found.values for found in ahead[:FOLLOWED]])
 
 
 def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -31,6 +33,7 @@ from hysteresis_ros.identification.linear_systems import LinearPart, Mode, undo
 from hysteresis_ros.identification.plant_model import half_widths
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.workflow import identify, validate
+from hysteresis_ros.laboratory.comparison.rows import Bench, drawn, recorded
 
 RATE = 2000.0
 STEP = 1e-3
@@ -226,3 +229,17 @@ def test_the_input_of_a_resonance_comes_back():
     y = np.convolve(w, part.impulse(w.size, STEP))[: w.size]
     assert np.std((undo(y, part, STEP) - w)[200:-200]) < 0.02 * np.std(w)
     assert np.std((y - w)[200:-200]) > 0.5 * np.std(w)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [6, 8, 13])
+def test_a_strong_mode_above_half_the_rate_hides_no_mode_below_it(seed):
+    """Lag and delay of a fit without modes stand for the missing modes; a search from there ends elsewhere."""
+    plant = drawn(seed, Bench())
+    linear = replace(plant, actuator=replace(plant.actuator, opening=1e-3, asymmetry=0.0, rate=0.0, creep=1e-6))
+    recording = recorded(linear, Bench(), seed)
+    found = choose_dynamics(segment_spectra(recording["voltage"], recording["measured"], 1.0 / 2000.0)).part
+    low, high = plant.actuator.frequencies
+    known, aliased = sorted(mode.frequency for mode in found.modes)
+    assert known == pytest.approx(low, rel=5e-3) and aliased == pytest.approx(2000.0 - high, rel=5e-3)
+    assert found.delay * 2000.0 > 0.5 and 0.0 < found.lag < 2e-3
