@@ -296,6 +296,7 @@ def tune(
     if tuning is None:
         raise ConfigurationError(f"{kind}: has no gains that can be tuned by a criterion")
     required = required or tuning.required
+    sought = replace(required, sensitivity_peak=COARSE * required.sensitivity_peak)
     first = start or getattr(tuning.start(control.before_damping(sample_time), sample_time), kind)
 
     def with_gains(all_parameters, gains):
@@ -314,7 +315,7 @@ def tune(
     def cost(values) -> float:
         candidate = with_gains(control, gains(values))
         own = candidate.before_damping(sample_time)
-        if not judge(*tuning.loop(own, sample_time), sample_time=sample_time, with_bandwidth=False).meets(required):
+        if not judge(*tuning.loop(own, sample_time), sample_time=sample_time, with_bandwidth=False).meets(sought):
             return np.inf
         try:
             # the loop subtracts the preload's offset before the law

@@ -238,7 +238,7 @@ class Given:
         noise = max(self.conditions.noise, LEAST_NOISE * stroke) / self.dynamics.output_scale
         change = self.change()
         return {
-            "kalman.form": "current",
+            "kalman.form": "predictor" if np.any(self.dynamics.state_space.D) else "current",
             "kalman.gain": "riccati",
             "kalman.r": float(noise**2),
             # without an estimated disturbance, the filter corrects the mismatch only if it weights the measurement

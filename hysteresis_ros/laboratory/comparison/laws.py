@@ -99,6 +99,9 @@ def _super_twisting(given) -> dict:
     return {**_gains(given, changes, place), **given.preview()}
 
 
+#: Feedforward of the reference ahead by the mean delay of the model; needs no preview.
+BY_VELOCITY = {"feedforward.type": "velocity", "feedforward.preview": 0}
+
 _OWN = (
     ComparedLaw("integral_sliding_mode", {"integral sliding mode + feedforward": _integral_sliding_mode}),
     ComparedLaw(
@@ -115,6 +118,7 @@ _OWN = (
             "integral + static feedforward": _integral,
             "PID": lambda given: {"type": "pid", **UNFED, **given.tuned("pid")},
             "PID + feedforward": lambda given: {"type": "pid", **given.preview(), **given.tuned("pid")},
+            "PID + velocity feedforward": lambda given: {"type": "pid", **BY_VELOCITY, **given.tuned("pid")},
         },
     ),
     ComparedLaw(
@@ -124,6 +128,7 @@ _OWN = (
             "sliding mode, integral": lambda given: {**_sliding_mode(given, "none", tracking="integral"), **UNFED},
             "offset-free": lambda given: {**_sliding_mode(given, "constant"), **UNFED},
             "offset-free + feedforward": lambda given: {**_sliding_mode(given, "constant"), **given.preview()},
+            "offset-free + velocity feedforward": lambda given: {**_sliding_mode(given, "constant"), **BY_VELOCITY},
             "drift-free + feedforward": lambda given: {**_sliding_mode(given, "ramp"), **given.preview()},
         },
     ),
