@@ -284,3 +284,12 @@ def test_an_axis_with_a_resonance_has_a_row_with_damping_and_one_without_has_non
     assert found.motion_controller["damping.type"] == "irc" and found.margins.bandwidth > 300.0
     node = given.designed(found).motion_controller
     assert node.damping.type == "irc" and node.type == "pid"
+
+
+@pytest.mark.parametrize(("through", "form"), [(0.0, "current"), (0.1, "predictor")])
+def test_a_model_with_feedthrough_gets_a_filter_that_allows_it(through, form):
+    dynamics = {"model.dynamics.C": [1.0 - through], "model.dynamics.D": [through]}
+    configuration = load_configuration("picma_stage").override("motion_controller", **dynamics)
+    trial = trial_around(configuration, Conditions(draws=1, others=0))
+    (candidate,) = candidates(trial.given, trial.conditions, trial.tasks, {("offset-free", "none")})
+    assert not candidate.refused and candidate.motion_controller["kalman.form"] == form
