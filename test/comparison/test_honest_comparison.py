@@ -185,6 +185,18 @@ def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
     assert trial.stroke == pytest.approx(9.5e-6, rel=1e-3)
 
 
+def test_references_on_a_foreign_plant_need_no_creep_of_the_model(monkeypatch):
+    """The model creeps beyond 10 µm at 100 V, but a reference beyond it is refused without an inverse of the creep."""
+    creep = {"creep.type": "logarithmic", "creep.logarithmic.rate": 0.05, "creep.logarithmic.reference_time": 1e-3}
+    axis = known(proportional().override("hysteresis_compensator", **creep), 16)
+    monkeypatch.setattr("hysteresis_ros.laboratory.comparison.compare.recorded", lambda *_: None)
+    monkeypatch.setattr("hysteresis_ros.laboratory.comparison.compare.identified", lambda *_: axis)
+    conditions = Conditions(mismatch=0.0)
+    trial = trial_on_other(5, conditions)
+    assert 9e-6 < trial.stroke <= 10e-6 * (1.0 + 1e-9)
+    assert not trial.rows({("integral + static feedforward", "none")})[0].refused
+
+
 def test_a_loop_that_does_not_bear_the_mismatch_is_marked_before_it_runs(monkeypatch):
     """M_s is near 2 on its model; with 1.5 times the gain and slower times the loop violates the requirement."""
     monkeypatch.setattr(candidates, "MISMATCHED", Requirements(2.3, 0.0, 0.0))

@@ -47,7 +47,7 @@ from hysteresis_ros.laboratory.comparison.tasks import (
     make_tasks,
 )
 from hysteresis_ros.loop.parameters import AxisParameters
-from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.simulation import mismatched
 
 #: Suffix of the name of a compensator with creep.
@@ -252,7 +252,10 @@ def trial_on_other(seed: int, conditions: Conditions) -> Trial:
     plant = drawn(seed, bench)
     given = identified(recorded(plant, bench, seed), bench)
     low, high = reachable([ModelledPlant(given.axis.plant_simulator)], "the identified model")
-    reach = low * (1.0 + conditions.mismatch), high * (1.0 - conditions.mismatch)
+    # without an inverse, references are checked against the gain alone, which creep and hysteresis may exceed
+    alone = given.configuration.override("hysteresis_compensator", inverse__type="none")
+    least, most = reachable_displacements(single_axis(alone))
+    reach = max(low * (1.0 + conditions.mismatch), least), min(high * (1.0 - conditions.mismatch), most)
     tasks = make_tasks(conditions, reach)
     return Trial(given, conditions, tasks, reach[1] - reach[0], tuple(around(plant, conditions.mismatch, seed)))
 
