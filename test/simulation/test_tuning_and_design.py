@@ -114,14 +114,16 @@ def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller)
     assert "gain margin" in result.output and "closed-loop poles" in result.output
     text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
     assert text.startswith("# Controller designed by `hysteresis design picma_stage.yaml --controller " + controller)
-    # everything else stays as written, except for the slew rate, which a written file limits
+    # everything else stays as written, except for the slew rate, which a written file limits, and steps of a waveform
+    added = (" slew_rate: ", " steps: true  # steps of a waveform keep the limits too")
     given, written = (
-        "".join(line for line in lines.splitlines(keepends=True) if " slew_rate: " not in line)
+        "".join(line for line in lines.splitlines(keepends=True) if not any(words in line for words in added))
         for lines in (PICMA.read_text(encoding="utf-8"), text)
     )
     first = given.index("/**/motion_controller:")
     assert given[:first] in written and given[given.index("/**/reference_generator:") :] in written
     assert single_axis(load_configuration(tmp_path / "f.yaml")).plant_simulator.limits.slew_rate > 0.0
+    assert text.count(added[1]) == 1
     recording = simulate(single_axis(load_configuration(tmp_path / "f.yaml")), duration=0.5)
     assert np.all(np.isfinite(recording.signals["displacement"]))
     if bandwidth:
