@@ -54,7 +54,7 @@ def deep(levels: int) -> str:
     [
         (BOMB, "line 2: ROS 2 does not read YAML aliases"),
         (deep(DEEPEST), f"mappings or lists are nested more than {DEEPEST} deep"),
-        (deep(100_000), "are nested more than"),
+        (deep(100_000), "are nested more than|exceeded maximum nesting depth"),  # PyYAML 6.0.4 has a limit of its own
         ("a:\n" + "- 1\n" * MOST_VALUES, f"more than {MOST_VALUES} values"),
         ("a: '" + "x" * LARGEST + "'", "larger than 16 MiB"),
         ("a: !!python/object/apply:os.system ['true']", "not readable as YAML"),
@@ -69,7 +69,7 @@ def deep(levels: int) -> str:
 def test_more_than_it_looks_is_refused_with_words(text, said):
     with pytest.raises(BoundsError, match=said):
         read_yaml(text)
-    with pytest.raises(ConfigurationError, match=r"^f\.yaml: .*" + said):
+    with pytest.raises(ConfigurationError, match=rf"^f\.yaml: .*(?:{said})"):
         parse_configuration(text, "f.yaml")
 
 
