@@ -36,6 +36,7 @@ import numpy as np
 import yaml
 
 from hysteresis_ros.configuration import dump_configuration, matches, normalised_namespace, parse_configuration
+from hysteresis_ros.control.controller import LAWS
 from hysteresis_ros.control.damping.inner_loop import modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
@@ -201,8 +202,10 @@ def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
     if feedforward.inverts and not reference.get("approach.steps", False):
         return f"{keeps}: the feedforward inverts the dynamics"
     # a fast loop with a limited slew rate can oscillate from limit to limit after a jump, with all of its margins
-    closed = str(controller.get("type", "open_loop")) != "open_loop"
-    return f"{keeps}: a jump exceeds the slew rate" if closed and "approach.steps" not in reference else ""
+    law = LAWS.get(str(controller.get("type", "")))
+    return (
+        f"{keeps}: a jump exceeds the slew rate" if law and law.feedback and "approach.steps" not in reference else ""
+    )
 
 
 def with_comments(text: str, commented: str) -> str:
