@@ -54,6 +54,10 @@ BIPOLAR = 0.1
 #: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
 #: samples, or, for models whose fit needs the beginning, below this fraction of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
+#: A remanence is preferred to rest if its error at the beginning is smaller than this factor times that of rest:
+#: assumed. The trials lack the modes, whose response to the first rise is of the size of a small remanence. If rest has
+#: more than so many times the error of the remaining samples, any smaller error is preferred.
+REMANENT, EXPLAINED = 0.8, 3.0
 #: If more than this fraction of the recording would be omitted, a start at rest is tried first: assumed.
 MOST_OMITTED = 0.3
 #: A recording is closed if input and output return to their start within this fraction of their range.
@@ -167,9 +171,9 @@ class _PastTrials:
     def begins_at_rest(self, first: int) -> bool:
         """Whether rest at 0 V explains the samples before ``first``, which would be omitted otherwise.
 
-        For a recording that begins at 0 V: rest explains them better than any remanence does. If a large part would be
-        omitted: it explains all samples about as well as a fit to those after ``first`` explains them. A fit from a
-        wrong history adapts to the longer part of the recording, so both parts count.
+        For a recording that begins at 0 V: no remanence explains them clearly better than rest does. If a large part
+        would be omitted: rest explains all samples about as well as a fit to those after ``first`` explains them. A fit
+        from a wrong history adapts to the longer part of the recording, so both parts count.
         """
         if first == 0:
             return False
@@ -181,9 +185,11 @@ class _PastTrials:
         if abs(voltage[0]) > CLOSED_PART * np.ptp(voltage):
             return False
         lag, largest, bipolar = _lag(self.condensed(alone)), *self._largest()
-        rest = _trimmed(self.error(part=lag)[:first])
+        error = self.error(part=lag)
+        rest = _trimmed(error[:first])
+        enough = REMANENT * rest if rest <= EXPLAINED * _trimmed(error[first:]) else rest
         pasts = (part * largest for part in PASTS if (bipolar or part > 0.0) and abs(part) <= 1.0)
-        return all(rest < _trimmed(self.error(_after(past, float(voltage[0])), lag)[:first]) for past in pasts)
+        return all(enough < _trimmed(self.error(_after(past, float(voltage[0])), lag)[:first]) for past in pasts)
 
     def _largest(self) -> tuple[float, bool]:
         """Return the largest voltage [V], and whether the recording is bipolar."""

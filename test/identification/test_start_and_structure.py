@@ -32,6 +32,7 @@ from hysteresis_ros.identification.preprocessing import condense, simple_loops, 
 from hysteresis_ros.identification.registry import parse_options
 from hysteresis_ros.identification.separation import find_start
 from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.laboratory.benchmark.synthetic import synthetic_task
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
@@ -209,11 +210,12 @@ def test_loops_of_one_size_are_seen():
 
 @pytest.mark.slow
 def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
-    def doubt(voltage, truth):
-        y = hysteresis_block(stack(truth), T).simulate(voltage) + 50e-9 * np.random.default_rng(0).standard_normal(800)
-        return identify(data(voltage, y), linear="none")
+    def doubt(voltage, truth, before=()):
+        y = hysteresis_block(stack(truth), T).simulate(np.append(before, voltage))[len(before) :]
+        noise = 50e-9 * np.random.default_rng(0).standard_normal(800)
+        return identify(data(voltage, y + noise), linear="none")
 
-    one = doubt(loops(100.0), 0.8)
+    one = doubt(loops(100.0), 0.8, before=np.linspace(150.0, 0.0, 50))
     low, high = (one.figures[f"small_loop_gain_{end}_percent"] for end in ("low", "high"))
     small = 50.0 + np.repeat([0.0, -50.0, 50.0, -5.0, 5.0], 50)
     truth, model = (hysteresis_block(law, T).simulate(small) for law in (stack(0.8), one.plant.hysteresis))
@@ -223,6 +225,20 @@ def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
     assert "ambiguity_rms_m" in one.text
     settled = doubt(DECAYING, 0.8)
     assert settled.figures["ambiguity_rms_m"] < 0.4 * one.figures["ambiguity_rms_m"]
+    # the first rise from rest tells it, too
+    risen = doubt(loops(100.0), 0.8)
+    assert risen.figures["skipped"] == 0 and risen.figures["density_decay"] == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "remanent"), [(0, False), (12, False), (12, True)])
+def test_the_response_of_modes_to_the_first_rise_is_no_remanence(seed, remanent):
+    data = synthetic_task(seed).train
+    assert wiped_out(data.input) > 0
+    if remanent:  # after a movement over half of the range, the first rise from 0 V is about 1 µm lower
+        first = wiped_out(data.input)
+        data = replace(data, output=data.output + 1.5e-6 * (np.arange(len(data)) < first) * (1 - data.input / 100.0))
+    assert (find_start(data).skip == 0) == (not remanent)
 
 
 @pytest.mark.slow
