@@ -82,6 +82,7 @@ class HammersteinFit(PlantModel):
     #: Standard deviation of the drift [m/s], also where none is found: a smaller drift cannot be told from creep.
     drift_deviation: float = math.nan
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
+    kept_rmse: float = math.nan  #: RMS residual of the fit without outliers [m], comparable with the held-out one.
     structure: Any = None  #: Chosen structure, for a repeated fit.
 
     @property
@@ -360,7 +361,7 @@ def robust_fit(
     numbers = (
         found.numbers | {"drift_deviation_m_per_s": deviation} | ({"outliers": float(outliers)} if outliers else {})
     )
-    found = replace(found, drift_deviation=deviation, numbers=numbers)
+    found = replace(found, drift_deviation=deviation, numbers=numbers, kept_rmse=structure.rms)
     return found, structure
 
 

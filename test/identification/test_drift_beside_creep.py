@@ -75,5 +75,8 @@ def test_the_predicted_error_adds_what_the_recording_does_not_determine():
         "ambiguity_rms_m": 3.0**0.5 * 4e-9,
         "drift_deviation_m_per_s": 3.0**0.5 * 2.4e-9,
     }
-    assert predicted_error(numbers, 5.0) == {"predicted_rmse_m": pytest.approx(13e-9, rel=1e-9)}
-    assert predicted_error({"drift_deviation_m_per_s": 1e-9}, 5.0) == {}
+    assert predicted_error(numbers, 5.0, 3.5e-9) == {"predicted_rmse_m": pytest.approx(13e-9, rel=1e-9)}
+    # held-out parts have 9 nm; 31.5 nm² less in the fit make 12 nm on other loops
+    numbers["held_out_rmse_m"], fitted = 9e-9, (81.0 - 31.5) ** 0.5 * 1e-9
+    assert predicted_error(numbers, 5.0, fitted)["predicted_rmse_m"] == pytest.approx((144.0 + 160.0) ** 0.5 * 1e-9)
+    assert predicted_error({"drift_deviation_m_per_s": 1e-9}, 5.0, 0.0) == {}
