@@ -97,10 +97,11 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
                 f"reference_generator: {name} = {micrometres(getattr(given, name))} is beyond the range of the "
                 f"compensator's model, {micrometres(low, high)}: setpoints beyond it saturate"
             )
+    generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
-        generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
         found += [str(problem) for problem in _too_fast(axis, given, generator, TOLERANCE)]
-    return tuple(found)
+    problem = generator.unreached_level()
+    return (*found, f"reference_generator: {problem}") if problem else tuple(found)
 
 
 def _bare_steps(axis, given: ReferenceParameters):

@@ -291,6 +291,8 @@ class ReferenceGeneratorNode(ReferenceSource):
     def _connect_part(self) -> None:
         self._laws = Laws(*(self.part.waveform,) * len(Laws._fields))
         self._arrays = self.part.arrays
+        if problem := self.part.generator.unreached_level():
+            self.warn("steps", str(problem))
 
     def note_pulses(self) -> None:
         """Follow a trigger input that starts or holds the generator."""

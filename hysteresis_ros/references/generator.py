@@ -60,6 +60,8 @@ RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 #: Values of RUNNING: the reference is held; waveform and moves run; only moves run, and the waveform waits for its
 #: start.
 HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
+#: Largest number of samples in which steps are compared with the duration of an approach.
+MOST_SAMPLES = 200_000
 
 
 @dataclass(frozen=True)
@@ -336,6 +338,34 @@ class ReferenceGenerator(Chain):
     def unasked(self) -> bool:
         """Whether no setpoint or trajectory was received since :meth:`begin_at`."""
         return bool(self.xs.trajectory[following.TARGET] == self._begun)
+
+    def unreached_level(self) -> Problem | None:
+        """Return a Problem if the limits of the approach keep a step of the waveform from its level before the next."""
+        own, shape = self.parameters, self.parameters.waveform.shape
+        if not shape.jumps or not own.approach.steps or own.approach.unlimited:
+            return None
+        waveform = Waveform(own.waveform, self.sample_time)
+        samples = waveform.period or waveform.duration_samples
+        if not samples and shape.takes_frequency:
+            samples = round(1.0 / (own.waveform.frequency * self.sample_time))
+        # with a second period, because the first step of a period is from the last level of the one before
+        levels = waveform.simulate(np.zeros(min(2 * samples, MOST_SAMPLES)))
+        starts = np.flatnonzero(np.diff(levels)) + 1
+        if starts.size < 2:
+            return None
+        distances = np.abs(levels[starts] - levels[starts - 1])[:-1]
+        needed = np.array([self.approach.duration(distance) for distance in distances.tolist()])
+        available = np.diff(starts) * self.sample_time
+        worst = int(np.argmax(needed - available))
+        if needed[worst] <= available[worst]:
+            return None
+        name = "frequency" if shape.takes_frequency else shape.extent
+        remedy = (
+            f"a step of {micrometres(distances[worst])} takes {needed[worst]:.3g} s within the limits of the approach "
+            f"(approach.steps: true), and the next one comes after {available[worst]:.3g} s: its level is not reached; "
+            "make steps slower or smaller, or raise approach.maximum_velocity, maximum_acceleration and maximum_jerk"
+        )
+        return Problem(f"waveform.{name}", own.waveform.to_mapping()[name], remedy)
 
     def begin_at(self, position: float) -> None:
         """Begin at rest at the axis' position [m], clipped to the range; the waveform waits for :meth:`start`."""

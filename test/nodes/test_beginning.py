@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,7 +21,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, compose, until  # noqa: E402
 
 from hysteresis_ros.loop import watch  # noqa: E402
-from hysteresis_ros.nodes.reference_generator import place_of  # noqa: E402
+from hysteresis_ros.loop.source import GeneratorSource  # noqa: E402
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode, place_of  # noqa: E402
 
 PLACE = 7.0e-6
 TRIANGLE = {
@@ -81,3 +83,16 @@ def test_the_place_is_the_reference_under_a_controller_at_work_and_its_command_u
     stopped = mode in (watch.STALE, watch.STOPPED, watch.TRIPPED)
     assert place_of(state) == (1e-6 if stopped else 5e-6)
     assert math.isnan(place_of({**state, "reference": math.nan}))
+
+
+@pytest.mark.slow
+def test_a_generator_warns_of_steps_that_it_cannot_follow_within_its_limits():
+    limits = {"approach__steps": True, "approach__maximum_velocity": 1e-3, "waveform__amplitude": 4e-6}
+    said = []
+    node = SimpleNamespace(warn=lambda _, text: said.append(text))
+    for frequency in (5.0, 150.0):
+        given = {"waveform__type": "square", "waveform__frequency": frequency, **limits}
+        node.part = GeneratorSource(axis_parameters(overrides={"reference_generator": given}).generator)
+        ReferenceGeneratorNode._connect_part(node)
+    (text,) = said
+    assert "waveform.frequency = 150.0" in text and "its level is not reached" in text

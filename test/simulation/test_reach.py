@@ -161,6 +161,33 @@ def test_a_range_wider_than_the_reach_is_a_warning():
     assert "minimum = 0 µm" in found and reachable_displacements(bounded)[0] > 1e-6
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["square", "steps"])
+def test_a_warning_names_steps_whose_level_is_not_reached_before_the_next_one(kind):
+    limits = {
+        f"approach__maximum_{name}": value
+        for name, value in zip(("velocity", "acceleration"), (1e-3, 0.2), strict=True)
+    }
+    given = {"minimum": 0.0, "maximum": 10e-6, "approach__steps": True, "waveform__type": kind, **limits}
+    step = 1.0 / axis().plant_simulator.sample_rate
+    found = []
+    for samples in (20, 60, 80, 90, 100, 150, 400):
+        time = samples * step
+        if kind == "square":
+            given |= {"waveform__polarity": "symmetric", "waveform__frequency": 0.5 / time}
+            given |= {"waveform__amplitude": 2e-6, "waveform__offset": 4e-6}
+        else:
+            levels = {"values": (2e-6, 6e-6, 2e-6), "times": (0.0, time, 2.0 * time), "period": 3.0 * time}
+            given |= {f"waveform__steps__{name}": value for name, value in levels.items()}
+        built = axis(reference_generator=given, motion_controller={"type": "open_loop"})
+        warned = [text for text in reach_warnings(built) if "its level is not reached" in text]
+        reached = np.ptp(simulate(built, duration=4.0 * time)["reference"][samples:]) > 4e-6 - 1e-15
+        assert bool(warned) != reached
+        assert all("a step of 4 µm takes " in text and f"comes after {time:.3g} s" in text for text in warned), warned
+        found.append(reached)
+    assert found[0] is np.False_ and found[-1] is np.True_
+
+
 def test_a_short_preview_is_a_warning_of_the_axis():
     changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 2}
     (doubt,) = reach_warnings(axis(motion_controller=changed, reference_generator={"waveform__type": "hold"}))
