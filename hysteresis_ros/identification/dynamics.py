@@ -18,7 +18,8 @@ differenced and windowed (Hann) first, so that strong slow movement leaks little
 resonance. For given poles and delay the response is linear in the numerators, which are solved for exactly (variable
 projection), so the search of a structure has few parameters: τ, delay, and frequency and damping of each mode. A
 structure with more parameters is chosen when, in most of the folds, it predicts held-out segments better by more than
-its number of parameters explains (Bayesian information criterion).
+its number of parameters explains (Bayesian information criterion). The values of a structure with modes are then
+refined on the samples in time (:class:`TimeSearch`).
 
 For slow recordings the hysteresis is first fitted together with lag, delay and creep on coarse data; then the dynamics
 after it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement come
@@ -226,13 +227,12 @@ def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray,
     return back, back ** (whole + 1) if whole else back, max(delay / sample_time - whole, 0.0)
 
 
-def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
-    """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
+def _held_mode(frequency, damping, sample_time: float, part: float):
+    """Return numerators in 1/z of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) for a held input, and the denominator.
 
-    They are sampled just before the input changes. ``frequency`` [Hz] and ``damping`` may be arrays, shape (K, 1); the
-    result then has the shape (K, n, 2). Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
+    ``part`` is the part of a sample by which the input is late. The three coefficients of a numerator lack the
+    factor 1/z.
     """
-    back, shift, part = _shifted(frequencies, sample_time, delay)
     omega = 2.0 * np.pi * frequency
     pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
     late = np.expm1(pole * (1.0 - part) * sample_time) / pole
@@ -240,10 +240,29 @@ def mode_columns(frequency, damping, frequencies, sample_time: float, delay: flo
     decay = np.exp(pole * sample_time)
     # 1/(s - p) becomes (late + early/z)/(z - decay); the difference to its conjugate has real coefficients
     numerator = late, early - late * decay.conjugate(), -early * decay.conjugate()
-    shift = shift / (1.0 + back * (-2.0 * decay.real + abs(decay) ** 2 * back))
+    both = [[(turn * one).imag for one in numerator] for turn in (omega**2 / pole.imag, omega * pole / pole.imag)]
+    return both, (-2.0 * decay.real, abs(decay) ** 2)
+
+
+def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float, float]:
+    """Return the two coefficients of the numerator of a lag for a held input, without a factor 1/z, and its pole."""
+    if not lag > 0.0:
+        return 1.0 - part, part, 0.0
+    late = -np.expm1(-(1.0 - part) * sample_time / lag)
+    return late, -np.expm1(-sample_time / lag) - late, np.exp(-sample_time / lag)
+
+
+def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
+    """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
+
+    They are sampled just before the input changes. ``frequency`` [Hz] and ``damping`` may be arrays, shape (K, 1); the
+    result then has the shape (K, n, 2). Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
+    """
+    back, shift, part = _shifted(frequencies, sample_time, delay)
+    both, (d1, d2) = _held_mode(frequency, damping, sample_time, part)
+    shift = shift / (1.0 + back * (d1 + d2 * back))
     found = np.empty((2, *shift.shape), dtype=complex)
-    for column, turn in enumerate((omega**2 / pole.imag, omega * pole / pole.imag)):
-        n0, n1, n2 = ((turn * one).imag for one in numerator)
+    for column, (n0, n1, n2) in enumerate(both):
         found[column] = shift * (n0 + back * (n1 + n2 * back))
     return found.transpose(*range(1, found.ndim), 0)
 
@@ -251,11 +270,8 @@ def mode_columns(frequency, damping, frequencies, sample_time: float, delay: flo
 def _lag_column(lag, frequencies, sample_time, delay):
     """Return the response of a lag to a held input, shape (n,), sampled just before the input changes."""
     back, shift, part = _shifted(frequencies, sample_time, delay)
-    if not lag > 0.0:
-        return shift * ((1.0 - part) + part * back)
-    late = -np.expm1(-(1.0 - part) * sample_time / lag)
-    early = -np.expm1(-sample_time / lag) - late
-    return shift * (late + early * back) / (1.0 - np.exp(-sample_time / lag) * back)
+    late, early, pole = _held_lag(lag, sample_time, part)
+    return shift * (late + early * back) / (1.0 - pole * back)
 
 
 def _rows(table) -> np.ndarray:
@@ -356,7 +372,7 @@ class ModalSearch:
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
         """Return the columns that the response is linear in, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
-        late = _lag_column(lag, self.f, self.T, delay)
+        late = self.column_of_lag(lag, delay)
         both = [self.columns_of_mode(frequency, damping, delay) for frequency, damping in pairs]
         if structure.series:
             modes = in_series(lag, pairs)
@@ -365,6 +381,13 @@ class ModalSearch:
                 found = found + (mode.position * own[:, 0] + mode.velocity * own[:, 1])
             return found[:, None]
         return np.concatenate([late[:, None], *both], axis=1)
+
+    def column_of_lag(self, lag: float, delay: float) -> np.ndarray:
+        """Return the response of a late lag, shape (n,).
+
+        Units: ``lag``, ``delay`` [s].
+        """
+        return _lag_column(lag, self.f, self.T, delay)
 
     def columns_of_mode(self, frequency: float, damping: float, delay: float) -> np.ndarray:
         """Return :func:`mode_columns`, shape (n, 2); the last ones are kept, as derivatives change one mode at a time.
@@ -375,8 +398,11 @@ class ModalSearch:
         if place not in self.cached:
             if len(self.cached) >= KEPT_COLUMNS:
                 del self.cached[next(iter(self.cached))]
-            self.cached[place] = mode_columns(frequency, damping, self.f, self.T, delay)
+            self.cached[place] = self._new_columns_of_mode(*place)
         return self.cached[place]
+
+    def _new_columns_of_mode(self, frequency: float, damping: float, delay: float) -> np.ndarray:
+        return mode_columns(frequency, damping, self.f, self.T, delay)
 
     def solve(self, columns):
         """Return the coefficients of the columns and the weighted residual, real and imaginary parts."""
@@ -482,7 +508,11 @@ class ModalSearch:
         table = self.weight[:, None] * columns
         change -= table @ _least_squares(table, change)
         shift = np.linalg.lstsq(slopes, change[:, 0].view(float), rcond=SMALL_STEP)[0]
-        sizes = iter(np.hypot(np.sqrt(np.diag(covariance)), shift))
+        return self.named(trial, np.hypot(np.sqrt(np.diag(covariance)), shift))
+
+    def named(self, trial: ModalTrial, deviations) -> dict[str, float]:
+        """Return the deviations of the search's values as those of lag, delay [s], frequencies [Hz] and dampings."""
+        sizes = iter(deviations)
         lag, _, pairs = self.unpack(trial.structure, trial.values)
         found = {"lag": lag * next(sizes)} if trial.structure.lag else {}
         late = self.T * next(sizes) if trial.structure.delay else 0.0
@@ -499,6 +529,122 @@ class ModalSearch:
         coefficients, _ = self.solve(columns)
         part, gain = self.part(structure, values, coefficients)
         return ModalTrial(structure, part, gain, columns @ coefficients, values)
+
+
+#: Order of the autoregressive model that whitens the residual, and number of times that it is fitted: assumed.
+WHITENING, WHITENED = 40, 2
+#: Largest number of evaluations of the refinement in time. A sample is an outlier if its whitened residual is more than
+#: FAR times the median of AROUND samples.
+REFINEMENTS, FAR, AROUND = 12, 10.0, 101
+#: Size of the residual, relative to the output, below which nothing is left to refine.
+EXACT = 1e-9
+
+
+class TimeSearch(ModalSearch):
+    """Searches on the recording in time: output error of whitened samples.
+
+    The window of the spectra takes power from the first and the last samples and makes resonances wider than they are;
+    both are large where a recording contains a resonance once, in a sweep or after a step. The residual is whitened by
+    an autoregressive model, so that the slow errors of a hysteresis have little weight. A column of samples is stored
+    as complex pairs of neighbours, so that its rows of real and imaginary parts are the samples.
+    """
+
+    def __init__(self, spectra: SegmentSpectra, w, y, first: int):
+        super().__init__(spectra)
+        w, y = (np.asarray(values, dtype=float) for values in (w, y))
+        self._w, self._y, self._first = w - w[0], y, first
+        self._beside = np.stack([np.ones(len(y)), np.linspace(-1.0, 1.0, len(y))], axis=1)
+        self._filter_by(np.ones(1))
+
+    def _filter_by(self, whitening, kept=None) -> None:
+        """Use this filter, shape (order + 1,), and of its samples those that are ``kept``, shape (n,) of bool."""
+        self._whitening, self._kept, self._basis = whitening, kept, None
+        self.cached.clear()
+        self._basis = np.linalg.qr(self._filtered(self._beside))[0]
+        self.target = self._column(self._y)
+        self.weight = np.ones(len(self.target))
+
+    def _filtered(self, values) -> np.ndarray:
+        start = self._first + len(self._whitening) - 1
+        count = (len(values) - start) // 2 * 2
+        found = scipy.signal.lfilter(self._whitening, [1.0], values, axis=0)[start : start + count]
+        if self._kept is not None:
+            found[~self._kept] = 0.0
+        return found if self._basis is None else found - self._basis @ (self._basis.T @ found)
+
+    def _column(self, values) -> np.ndarray:
+        """Return samples, shape (N,), filtered and without a constant and a line, as complex pairs, shape (n/2,)."""
+        return np.ascontiguousarray(self._filtered(values)).view(complex)
+
+    def _late(self, delay: float) -> tuple[np.ndarray, float]:
+        """Return the input, late by the whole samples of a delay [s] plus 1, and the remaining fraction of a sample."""
+        whole = int(np.floor(delay / self.T + 1e-9))
+        count = min(whole + 1, len(self._w))
+        return np.append(np.zeros(count), self._w[: len(self._w) - count]), max(delay / self.T - whole, 0.0)
+
+    def column_of_lag(self, lag: float, delay: float) -> np.ndarray:
+        """Return the whitened output of a late lag, shape (n/2,).
+
+        Units: ``lag``, ``delay`` [s].
+        """
+        late, part = self._late(delay)
+        *numerator, pole = _held_lag(lag, self.T, part)
+        return self._column(scipy.signal.lfilter(numerator, [1.0, -pole], late))
+
+    def _new_columns_of_mode(self, frequency: float, damping: float, delay: float) -> np.ndarray:
+        late, part = self._late(delay)
+        both, denominator = _held_mode(frequency, damping, self.T, part)
+        outputs = (scipy.signal.lfilter(numerator, [1.0, *denominator], late) for numerator in both)
+        return np.stack([self._column(output) for output in outputs], axis=1)
+
+    def whiten(self, structure: ModalStructure, values) -> None:
+        """Whiten by the residual of a model, and leave out its outliers."""
+        self._filter_by(np.ones(1))
+        whitening = _whitening(self.residual(structure, values))
+        self._filter_by(whitening)
+        size = np.abs(self.residual(structure, values))
+        # outliers stand alone; where the model is wrong, as at a resonance, the neighbours are large, too
+        around = scipy.ndimage.median_filter(size, AROUND)
+        self._filter_by(whitening, size <= FAR * np.maximum(around, np.median(size)))
+        # the search ends where its gradient is small, so the residual must have the size of 1
+        scale = float(np.std(self.residual(structure, values)))
+        self.weight, self.target = self.weight / scale, self.target / scale
+
+    def residual(self, structure: ModalStructure, values) -> np.ndarray:
+        """Return the residual of the best coefficients, shape (n,)."""
+        return self.solve(self.columns(structure, values))[1]
+
+    def refined(self, trial: ModalTrial) -> ModalTrial:
+        """Return a trial of the spectra with the values and deviations that fit the samples best."""
+        structure, values = trial.structure, trial.values
+        if np.std(self.residual(structure, values)) <= EXACT * np.std(self._y):
+            return trial
+        for _ in range(WHITENED):
+            self.whiten(structure, values)
+            values = self.fit(structure, [values], REFINEMENTS).values
+        coefficients, _ = self.solve(self.columns(structure, values))
+        part, gain = self.part(structure, values, coefficients)
+        response = ModalSearch(self.spectra).columns(structure, values) @ coefficients
+        found = ModalTrial(structure, part, gain, response, values)
+        return replace(found, deviations=self.deviations(found))
+
+    def deviations(self, trial: ModalTrial) -> dict[str, float]:
+        """Return the standard deviations as :meth:`ModalSearch.deviations` does, from the scatter of the samples."""
+        columns = self.columns(trial.structure, trial.values)
+        residual = self.solve(columns)[1]
+        slopes = self.slopes(trial.structure, trial.values, residual)
+        others = columns.shape[1] + self._beside.shape[1]
+        covariance = parameter_covariance(slopes, residual, others, truncated=SMALL_STEP, correlated=True)
+        return self.named(trial, np.sqrt(np.diag(covariance)))
+
+
+def _whitening(residual) -> np.ndarray:
+    """Return the filter that whitens a residual, shape (order + 1,), from its correlation (Yule and Walker)."""
+    count = 2 * len(residual)
+    power = np.abs(np.fft.rfft(residual - residual.mean(), count)) ** 2
+    correlation = np.fft.irfft(power)[: WHITENING + 1]
+    correlation[0] *= 1.0 + 1e-6  # so that the equations stay regular
+    return np.append(1.0, -scipy.linalg.solve_toeplitz(correlation[:-1], correlation[1:]))
 
 
 def part_response(part: LinearPart, frequencies) -> np.ndarray:
@@ -758,7 +904,8 @@ def fit_stage(
     Units: ``w`` [m], ``y`` [m], ``sample_time`` [s], ``late`` [samples].
     """
     if kind == MODES:
-        return _modal_stage(segment_spectra(w, y, sample_time, skip, late), parts, zeros, accepted)
+        spectra = segment_spectra(w, y, sample_time, skip, late)
+        return _modal_stage(spectra, TimeSearch(spectra, w, y, skip), parts, zeros, accepted)
     if kind in CONTINUOUS:
         return _continuous_stage(w, y, sample_time, kind, skip, intersample, initial)
     w, y = np.asarray(w, dtype=float)[skip:], np.asarray(y, dtype=float)[skip:]
@@ -777,10 +924,14 @@ def fit_stage(
     raise IdentificationError(f"linear = {kind!r}: must be one of {', '.join(STAGES)}")
 
 
-def _modal_stage(spectra: SegmentSpectra, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and modes that are accepted."""
+def _modal_stage(spectra: SegmentSpectra, search: TimeSearch, parts, zeros: bool, accepted) -> LinearStage:
+    """Choose lag, delay and modes that are accepted, and refine modes in time."""
     pair = tuple(part for part in PAIR if part in parts)
     found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
+    if found.structure.modes:
+        refined = search.refined(found)
+        is_accepted = accepted is None or all(accepted(mode.frequency) for mode in refined.part.modes)
+        found = refined if is_accepted and refined.gain > 0.0 else found
     part = found.part
     return LinearStage(
         part.dynamics(spectra.sample_time),
