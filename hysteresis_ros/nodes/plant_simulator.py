@@ -72,7 +72,10 @@ class Stamps:
         self._rate = parameters.sample_rate
         self._is_source = parameters.publish_clock
         self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
+        self._factor = parameters.real_time_factor
         self._start = 0
+        #: Present time when the stamps began [ns]; 0: not yet.
+        self._origin = 0
         #: Stamp of the last published sample [ns].
         self.last = 0
 
@@ -90,14 +93,20 @@ class Stamps:
     def begin(self, origin: int = 0) -> None:
         """Set the time of sample 0 [ns since 1970]."""
         self._start = 0 if self._is_source else origin
+        self._origin = 0
 
     def go_on(self, sample: int) -> None:
         """Restart the stamps with this sample: at the present time, or at zero when they are the time source.
 
         They never go back, even if the clock was set back or cannot be read, because no node accepts an earlier stamp.
+        With a real-time factor other than 1 the time since they began passes at this factor: at the wall clock's rate a
+        pause would be a gap of many more samples than it lasted.
         """
-        now = max(_wall_clock() or 0, self.last + self._since_start(1))
+        wall = _wall_clock() or 0
+        origin = self._origin or wall
+        now = max(origin + round(self._factor * (wall - origin)), self.last + self._since_start(1))
         self.begin(now - self._since_start(sample))
+        self._origin = origin
 
     @property
     def are_off_clock(self) -> bool:

@@ -86,6 +86,27 @@ def test_an_axis_that_is_the_source_of_time_or_runs_slower_has_stamps_of_its_own
     assert not slow.stamps.are_off_clock
 
 
+@pytest.mark.parametrize("factor", [0.02, 1.0, 4.0])
+def test_a_pause_is_a_gap_of_as_many_samples_as_it_lasted(inside, monkeypatch, factor):
+    plant = plant_of(inside, real_time_factor=factor)
+    assert plant.configure_now()
+    now = [1_700_000_000 * SECOND]
+    monkeypatch.setattr(module.time, "time_ns", lambda: now[0])
+    plant.stamps.go_on(plant.sample)
+    stamps = []
+    for _ in range(5):
+        stamps.append(next_stamp(plant))
+        now[0] += round(PERIOD / factor)
+    now[0] += round(20 * PERIOD / factor)
+    plant.stamps.go_on(plant.sample)
+    stamps.append(next_stamp(plant))
+    assert stamps == [stamps[0] + k * PERIOD for k in (0, 1, 2, 3, 4, 25)] and stamps[0] == 1_700_000_000 * SECOND
+    plant._clear()
+    now[0] += 3600 * SECOND
+    plant.stamps.go_on(plant.sample)
+    assert next_stamp(plant) >= now[0], "a new run begins at the present time"
+
+
 def test_stamps_stay_on_the_clock_when_samples_come_late(inside):
     plant = plant_of(inside)
     assert plant.configure_now() and plant.activate_now()
