@@ -1121,7 +1121,8 @@ def scan_run(
         The complete run of a stage.
     first, last : float, optional
         Part of the run to evaluate [s]; by default all samples after the first period of the path, or after its first
-        line if the run has fewer than two periods.
+        line if the run has fewer than two periods. Samples count while all axes follow the scan, also after it was
+        stopped and has begun again.
 
     Returns
     -------
@@ -1139,7 +1140,8 @@ def scan_run(
     >>> hr.scan_run(hr.simulate("xy_scanner", duration=0.01)) is None
     True
     """
-    from hysteresis_ros.analysis.scan_report import ScanRun, judged_from, trigger_times
+    from hysteresis_ros.analysis.scan_report import NO_LINE, ScanRun, judged_from, trigger_times
+    from hysteresis_ros.errors import RecordingError
 
     run = _recording(source, None)
     configuration = configuration_of(run) if run.axes and run.configuration else None
@@ -1149,25 +1151,53 @@ def scan_run(
     scan, names = parameters.scan, parameters.scanning_axes
     if scan is None:
         return None
+    places = [parameters.names.index(name) for name in names]
     if run.metadata.get("source") == "offline simulation":
         time, displacement = displacements_between(parameters, run)
         sample = np.minimum(((time - time[0]) * parameters.sample_rate + 1e-6).astype(int), len(run) - 1)
-        reference = scan.position(time) + np.array([run[f"{name}/setpoint"][sample] for name in names])
+        moment = time + _delays_of_path(run, names, np.arange(len(run)) / parameters.sample_rate, parameters)[sample]
+        reference = scan.position(np.nan_to_num(moment)) + np.array([run[f"{name}/setpoint"][sample] for name in names])
     else:
         time, displacement = (
             run.time - run.time[0],
             np.array([run[f"{name}/displacement"] for name in parameters.names]),
         )
+        moment = time + _delays_of_path(run, names, time, parameters)
         reference = np.array([run[f"{name}/reference"] for name in names])
-    places = [parameters.names.index(name) for name in names]
     # references count from the zero of the controllers' models
     zeros = np.array([parameters.axes[place].motion_controller.model.preload.offset for place in places])
     displacement = displacement[places] - zeros[:, np.newaxis]
     ends = parameters.stage.scan.periods * scan.period or np.inf
-    begins = judged_from(scan, time) if first is None else first
-    there = (time >= begins - 1e-9) & (time <= last + 1e-9) & (time < ends - 1e-9)
+    there = (moment >= -1e-9) & (moment < ends - 1e-9)
+    if first is None:
+        there &= moment >= judged_from(scan, moment[there]) - 1e-9
+    else:
+        there &= time >= first - 1e-9
+    there &= time <= last + 1e-9
+    if not np.any(there):
+        raise RecordingError(NO_LINE)
     triggers = trigger_times((run.axis(name) for name in names), time[there], run.time[0])
-    return ScanRun(scan, time[there], reference[:, there], displacement[:, there], triggers)
+    moments = None if np.array_equal(moment[there], time[there]) else moment[there]
+    return ScanRun(scan, time[there], reference[:, there], displacement[:, there], triggers, moments)
+
+
+#: Differences of times that are rounding of stamps [s].
+ROUNDED = 1e-7
+
+
+def _delays_of_path(run: Recording, names: Sequence[str], time: np.ndarray, parameters: StageParameters) -> np.ndarray:
+    """Return the time on the path of a scan minus the time of the run, for each sample [s].
+
+    It is zero until the scan begins again, or samples are missing from the recording. NaN: the axes do not follow the
+    scan together.
+    """
+    signals = [f"{name}/waveform_sample" for name in names]
+    if not all(signal in run for signal in signals):
+        return np.zeros(time.size)
+    samples = np.array([run[signal] for signal in signals])
+    together = np.all(samples == samples[0], axis=0) & (samples[0] >= 0.0)
+    delays = samples[0] / parameters.sample_rate - time
+    return np.where(together, np.where(np.abs(delays) < ROUNDED, 0.0, delays), np.nan)
 
 
 def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:

@@ -41,6 +41,8 @@ SHOWN = 6
 #: Least span of both references of a map [m]; an axis with a smaller span holds its position.
 LEAST_MAP = 1e-8
 _MICRO = 1e6
+#: Refusal of a run that has nothing to evaluate.
+NO_LINE = "no sample of the run is on a line of the scan and has a displacement"
 #: Rows of the table: name, words, unit, factor.
 ROWS = (
     ("rms_error_m", "RMS error in the plane", "µm", 1e6),
@@ -152,6 +154,8 @@ class ScanRun(InPlane):
     reference: np.ndarray  #: shape (axes, N) [m]
     displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
     triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
+    #: shape (N,); Time on the path of each sample [s], if it is not ``time`` because the scan began again.
+    moment: np.ndarray | None = None
 
     def __post_init__(self):
         """Refuse inconsistent shapes, and a run without a sample that counts."""
@@ -161,12 +165,20 @@ class ScanRun(InPlane):
             if given != expected:
                 raise RecordingError(f"{name} has shape {given}, must be {expected}: axes of the scan, samples")
         if not np.any(self.counted):
-            raise RecordingError("no sample of the run is on a line of the scan and has a displacement")
+            raise RecordingError(NO_LINE)
 
     @cached_property
     def clock(self) -> Clock:
         """Line, pixel and frame of each sample."""
-        return self.scan.clock(self.time)
+        return self.scan.clock(self.time if self.moment is None else self.moment)
+
+    @property
+    def lasts(self) -> float:
+        """Time for which the axes follow the scan [s]: without that of stops."""
+        if self.moment is None:
+            return float(self.time[-1] - self.time[0])
+        steps = np.diff(self.moment)
+        return float(np.sum(steps[steps > 0.0]))
 
     @cached_property
     def in_plane(self) -> np.ndarray:
@@ -215,8 +227,11 @@ class ErrorMap:
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return the time [s] from which a run of a scan is evaluated: after one of several periods, or after a line."""
-    lasts = time[-1] - time[0]
+    """Return the time on the path [s] from which a run is evaluated: after one of several periods, or after a line.
+
+    ``time``: times on the path of all samples [s].
+    """
+    lasts = np.max(time, initial=0.0)
     return scan.period if lasts >= 1.9 * scan.period else float(scan.passes.begin[1]) / scan.rate
 
 
@@ -293,6 +308,7 @@ def scan_figures(run: ScanRun) -> dict:
         samples = np.diff(np.append(np.flatnonzero(_begins(run)), on.sum())).astype(float)
         coupling = float(np.sqrt(np.average(lines.across**2, weights=samples)))
     difference = sides.trace - sides.retrace
+    both = np.isfinite(difference)
     largest = float(np.max(run.size[on]))
     rms = _rms(run.size[on])
     return {
@@ -304,14 +320,14 @@ def scan_figures(run: ScanRun) -> dict:
         "across_error_m": _rms(run.in_plane[1, on]) if scan.slow_axis else None,
         "coupling_error_m": coupling,
         "coupling_error_percent": None if coupling is None else 100.0 * coupling / scan.size,
-        "trace_retrace_m": float(np.sqrt(np.nanmean(difference**2))) if retraced(run) else None,
+        "trace_retrace_m": _rms(difference[both]) if np.any(both) and retraced(run) else None,
         "worst_line_m": float(np.max(lines.rms)),
         "normal_error_m": _rms(run.error[2, on]) if scan.axes == 3 else None,
         "turn_error_m": _rms(run.size[turning]) if np.any(turning) else None,
         "size_m": scan.size,
         "gap_m": scan.gap if np.isfinite(scan.gap) else None,
         "constant_share_percent": 100.0 * scan.constant_share if scan.constant_share else None,
-        "frames": float((run.time[-1] - run.time[0]) * scan.rate),
+        "frames": float(run.lasts * scan.rate),
         "samples": int(on.sum()),
     }
 
@@ -484,7 +500,7 @@ def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:
     """Yield captions and figures of a scan."""
     yield from plane_plots(run)
     yield "RMS error line by line", lines_figure(run)
-    if retraced(run):
+    if scan_figures(run)["trace_retrace_m"] is not None:
         yield "Mean error along the lines, trace against retrace", trace_figure(run)
 
 

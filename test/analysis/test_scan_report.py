@@ -67,6 +67,16 @@ def test_trace_and_retrace_of_a_pure_delay_are_two_delays_apart():
     assert figures["across_error_m"] < 1e-2 * shift and figures["coupling_error_m"] < 1e-2 * shift
 
 
+def test_traces_are_not_compared_with_retraces_that_the_run_does_not_have():
+    """A run that ends in its first line was a figure that is no number, and the command ended with a traceback."""
+    whole = ran()
+    on = np.flatnonzero(whole.clock.direction > 0)[:200]
+    figures = scan_figures(ScanRun(whole.scan, whole.time[on], whole.reference[:, on], whole.displacement[:, on]))
+    assert figures["trace_retrace_m"] is None and figures["worst_line_m"] == 0.0
+    short = ScanRun(whole.scan, whole.time[on], whole.reference[:, on], whole.displacement[:, on])
+    assert not any("retrace" in caption for caption, _ in scan_plots(short))
+
+
 def test_coupling_is_what_the_line_leaves_across_itself():
     """0.1 % of u in v is coupling; an offset between lines is not."""
     scan = scan_of("raster", RASTER)

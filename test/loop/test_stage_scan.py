@@ -272,6 +272,48 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("source", ["bag", "offline simulation"])
+def test_a_scan_that_was_stopped_and_began_again_is_judged_where_it_is(source):
+    """Lines are those of the path at each sample, not those of the time since the run began."""
+    parameters, stopped, started = following(stage={"scan__periods": 2}), 230, 1000
+    scan, changes = (
+        parameters.scan,
+        [
+            Change(stopped, "reference_generator", "stop"),
+            Change(started, "reference_generator", "start"),
+        ],
+    )
+    whole = simulate_stage(parameters, duration=started * SAMPLE_TIME + 2.5 * scan.period)
+    found = Stage(parameters).run(Stage(parameters).default_setpoints(len(whole)), {"x": changes, "y": changes})
+    signals = {f"{name}/{key}": found[name][key] for name in "xy" for key in whole.axis(name).signals}
+    run = replace(whole, signals=signals, metadata=whole.metadata | {"source": source})
+    judged, period = hr.scan_run(run), round(scan.period / SAMPLE_TIME)
+    assert judged.time[0] == pytest.approx(started * SAMPLE_TIME + scan.period), "after the first whole period"
+    assert judged.time[-1] < started * SAMPLE_TIME + 2.0 * scan.period
+    fine = 5 if source == "offline simulation" else 1
+    assert judged.time.size == fine * period
+    np.testing.assert_array_equal(judged.clock.line, scan.clock(judged.time - started * SAMPLE_TIME).line)
+    undelayed = scan.position(judged.time - started * SAMPLE_TIME) + MIDDLE
+    np.testing.assert_allclose(judged.reference, undelayed, atol=1e-12)
+    early = hr.scan_run(run, 0.0)
+    assert early.time.size == fine * (stopped + 2 * period), "nothing counts while the scan is stopped"
+    assert scan_figures(early)["frames"] == pytest.approx((stopped + 2 * period) * SAMPLE_TIME * scan.rate, rel=0.01)
+
+
+def test_samples_that_the_recording_lacks_do_not_shift_the_lines_of_a_scan():
+    run = simulate_stage(following(), duration=0.1)
+    kept = np.r_[0:30, 330:1000]
+    parts = {name: np.append(values[kept[:-1]], np.nan) for name, values in run.signals.items()}
+    late = replace(run, time=run.time[kept], signals=parts, metadata=run.metadata | {"source": "bag"})
+    # samples come late, and the waveform waits for them
+    for name in "xy":
+        late.signals[f"{name}/waveform_sample"][:-1] = np.arange(kept.size - 1)
+    judged = hr.scan_run(late, 0.0)
+    scan = following().scan
+    np.testing.assert_array_equal(judged.clock.line, scan.clock(np.arange(kept.size - 1) * SAMPLE_TIME).line)
+
+
+@pytest.mark.slow
 def test_the_zero_of_the_sensors_is_no_error_of_a_scan():
     """References count from the zero of the controllers' models; the error does too, simulated or measured."""
     slow = ("width=2um", "depth=2um", "lines=4", "flyback=2", "line_rate=10Hz", "slow=ramped")
