@@ -72,6 +72,7 @@ from hysteresis_ros.identification.subspace import refine_on_response, subspace_
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, INTERNAL, StageParameters
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
+from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
@@ -98,8 +99,8 @@ CREEPING = 10.0
 #: Uncertainty of the response of an axis, as a part of it, that is the reason for a slow loop, at frequencies up to
 #: this multiple of its bandwidth.
 UNSURE, NEAR = 0.5, 2.0
-#: Fraction of the range of motion that the references use.
-USED = 0.95
+#: Fraction of the range of motion that the references use; number of voltages from one end of the range to the other.
+USED, SWEPT = 0.95, 500
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
 # /identification is not a node: it states where the numbers come from.
@@ -825,11 +826,23 @@ def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float
     return (np.array(_means(reading)[1]) - block.step(centre)).tolist()
 
 
+def _ends(compensator: CompensatorParameters, step: float) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] to which an actuator returns from its other end.
+
+    Before it first moved, an actuator with hysteresis was farther out: it does not return to its zero.
+    """
+    if compensator.inverse.type == "none":
+        return reachable_commands(compensator, step)
+    low, high = compensator.limits.minimum, compensator.limits.maximum
+    way = np.concatenate([np.linspace(a, b, SWEPT) for a, b in ((low, high), (high, low), (low, high))])
+    reached = hysteresis_block(compensator.hysteresis, step).simulate(way)
+    ends = float(reached[2 * SWEPT - 1]), float(reached[-1])
+    return min(ends), max(ends)
+
+
 def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
-    """Return the ranges of the degrees of freedom [m] that can be reached independently of one another."""
-    ends = np.array(
-        [reachable_commands(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators]
-    )
+    """Return the ranges of the degrees of freedom [m] that can be reached again and again, and in any combination."""
+    ends = np.array([_ends(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators])
     middle, half = ends.mean(axis=1), 0.5 * np.abs(np.diff(ends, axis=1))[:, 0]
     back = np.linalg.inv(decoupling)
     centre = back @ middle

@@ -215,11 +215,12 @@ def test_the_file_has_the_plants_of_the_stage_and_all_limits(done):
         assert not own.reference_generator.approach.unlimited
         assert own.reference_generator.approach.maximum_velocity < 0.05
         assert own.motion_controller.type == "pid" and own.motion_controller.damping.type == "irc"
-    # to the middle of the ranges, 26 µm, it moves as to a setpoint; a jump would be 7 V per sample, the slew rate
+    # to the middle of the ranges, 28 µm, it moves as to a setpoint; a jump would be 7 V per sample, the slew rate
     run = simulate_stage(found.with_duration(0.05))
-    for name in "xy":
+    for name, axis in zip("xy", found.axes, strict=True):
         place = run[f"{name}/reference"][-1]
-        assert place > 20e-6 and run[f"{name}/reference"][0] < 4e-6
+        assert place > 20e-6
+        assert run[f"{name}/reference"][0] == pytest.approx(axis.generator.minimum, abs=0.1e-6)
         assert np.max(run[f"{name}/displacement"]) < 1.1 * place
         assert np.max(np.abs(np.diff(run[f"{name}/plant_voltage"]))) < 3.0
     predicting = StageParameters.from_configuration(load_configuration(situation.folder.path / DESIGNED))

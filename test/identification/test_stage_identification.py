@@ -59,8 +59,11 @@ from hysteresis_ros.identification.stage_data import (  # noqa: E402
     read_stage,
     realisations,
 )
+from hysteresis_ros.loop.parameters import part  # noqa: E402
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage  # noqa: E402
+from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands  # noqa: E402
+from hysteresis_ros.models.hysteresis import hysteresis_block  # noqa: E402
 from hysteresis_ros.recordings.dataset import Recording  # noqa: E402
 from hysteresis_ros.recordings.files import save_run  # noqa: E402
 from hysteresis_ros.units import readable  # noqa: E402
@@ -641,6 +644,19 @@ def test_every_corner_of_the_ranges_of_the_axes_is_within_those_of_the_actuators
     corners = decoupling @ np.array([(x, y) for x in ranges[0] for y in ranges[1]]).T
     used = np.max(np.abs(corners - 20e-6), axis=1) / 20e-6
     assert np.max(used) == pytest.approx(USED, rel=1e-3)
+
+
+def test_the_range_of_an_axis_is_what_its_actuator_reaches_again():
+    """At its lowest voltage an actuator with hysteresis does not return to the zero from which it first began."""
+    axis = StageParameters.from_configuration(load_configuration("xy_scanner")).axes[0]
+    given = part(axis.hysteresis_compensator, CompensatorParameters)
+    first, last = reachable_commands(given, STEP)
+    way = np.concatenate([np.linspace(0.0, 100.0, 400), np.linspace(100.0, 0.0, 400)])
+    remains = hysteresis_block(given.hysteresis, STEP).simulate(way)[-1]
+    assert remains > first + 0.09 * (last - first)
+    ((low, high),) = _ranges(None, [given.to_mapping()], np.eye(1), STEP)
+    assert low == pytest.approx(remains + 0.5 * (1.0 - USED) * (last - remains), rel=1e-3)
+    assert high == pytest.approx(last - 0.5 * (1.0 - USED) * (last - remains), rel=1e-3)
 
 
 def test_a_stage_of_other_axes_or_of_another_rate_does_not_take_what_was_identified():
