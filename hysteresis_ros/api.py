@@ -1178,7 +1178,8 @@ def scan_run(
         raise RecordingError(NO_LINE)
     triggers = trigger_times((run.axis(name) for name in names), time[there], run.time[0])
     moments = None if np.array_equal(moment[there], time[there]) else moment[there]
-    return ScanRun(scan, time[there], reference[:, there], displacement[:, there], triggers, moments)
+    signals = reference[:, there], displacement[:, there]
+    return ScanRun(scan, time[there], *signals, triggers, moments, names)
 
 
 #: Differences of times that are rounding of stamps [s].

@@ -156,6 +156,7 @@ class ScanRun(InPlane):
     triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
     #: shape (N,); Time on the path of each sample [s], if it is not ``time`` because the scan began again.
     moment: np.ndarray | None = None
+    names: tuple[str, ...] = AXES  #: Names of the axes.
 
     def __post_init__(self):
         """Refuse inconsistent shapes, and a run without a sample that counts."""

@@ -20,7 +20,7 @@ import pytest
 from coupled_stages import LINEAR, SAMPLE_TIME, configured, modes
 
 import hysteresis_ros as hr
-from hysteresis_ros.analysis.scan_report import scan_figures
+from hysteresis_ros.analysis.scan_report import scan_figures, scan_plots
 from hysteresis_ros.api import configuration_of
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.control.learning import LearningParameters
@@ -339,6 +339,10 @@ def test_a_stage_with_hysteresis_inside_is_judged_at_its_samples():
     run = hr.simulate(configuration, duration=0.3)
     judged = hr.scan_run(run, 0.0)
     assert judged.time.size == run.time.size and np.max(judged.size) < 0.4e-6
+    # the pictures name the axes of the stage
+    (_, path), (_, plane), *_ = scan_plots(judged)
+    assert [path.axes[0].get_xlabel(), path.axes[0].get_ylabel()] == ["s1 [µm]", "s2 [µm]"]
+    assert [axis.get_title() for axis in plane.axes[1:3]] == ["mean error of s1", "mean error of s2"]
     assert StageParameters.from_configuration(configuration_of(run)).scanning_axes == ("s1", "s2")
 
 
