@@ -42,7 +42,16 @@ from hysteresis_ros.control.damping.inner_loop import (
     require_force,
 )
 from hysteresis_ros.control.damping.kind import COMMAND, FORCE, Mode
-from hysteresis_ros.control.laws.pid import FILTER, PidParameters, pid_state_space, pid_with_zeros, slowest_poles
+from hysteresis_ros.control.laws.pid import (
+    AT_ZERO,
+    FILTER,
+    PidParameters,
+    pid_state_space,
+    pid_with_zeros,
+    slowest_poles,
+)
+from hysteresis_ros.control.laws.pid import LITTLE as HIDDEN
+from hysteresis_ros.control.laws.pid import _share as step_share
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import REQUIRED, Margins, judge, margins_of
 from hysteresis_ros.control.uncertainty import PossiblePlant, possible_plant
@@ -62,6 +71,8 @@ GRID, AROUND = 120, 41
 #: Smallest damping ratio of any mode of the inner loop. Less is allowed if the ratio is at least the second number
 #: times that of the plant's mode.
 WELL, MUCH = 0.02, 5.0
+#: Factor on a speed that was computed with rounded poles, above which it may be as fast as computed exactly.
+CLEARLY = 1.001
 #: Damping ratio above which a mode needs no damping filter.
 DAMPED = 0.7
 
@@ -149,17 +160,22 @@ class _Search:
         found = loop.around(self.plants[0].plant)
         if np.max(np.abs(found.poles)) >= 1.0 - BOUNDARY:
             return 0.0
-        gains = self._unit_pid(found)
-        outer = pid_state_space(gains, self.sample_time)
-        gain = self._gain(loop, outer.response(self.z)[:, 0, 0])
-        if not gain * gains.Ki > least or not self._holds(loop, outer.scaled(gain), late):
+        # most filters are much slower than the best one, which rounded poles tell too: exact ones take much longer
+        rough, _, _ = self._fastest(loop, _rounded_slowest(found))
+        if not rough * CLEARLY > least:
             return 0.0
-        return gain * gains.Ki
+        fastest, outer, gain = self._fastest(loop, slowest_poles(found))
+        if not fastest > least or not self._holds(loop, outer.scaled(gain), late):
+            return 0.0
+        return fastest
 
-    def _unit_pid(self, plant: StateSpace) -> PidParameters:
+    def _fastest(self, loop: InnerLoop, zeros) -> tuple[float, StateSpace, float]:
+        """Return the integral gain of the fastest PID with these zeros [1/s], the PID of unit gain, and its gain."""
         cut_off = FILTER * 2.0 * np.pi / self.sample_time
-        Kp, Ki, Kd = pid_with_zeros(slowest_poles(plant), 1.0, self.sample_time, cut_off)
-        return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
+        Kp, Ki, Kd = pid_with_zeros(zeros, 1.0, self.sample_time, cut_off)
+        outer = pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off), self.sample_time)
+        gain = self._gain(loop, outer.response(self.z)[:, 0, 0])
+        return gain * Ki, outer, gain
 
     def _gain(self, loop: InnerLoop, outer) -> float:
         """Return the largest gain of an outer controller on all plants; smaller if the combined loop would exceed M_s.
@@ -226,6 +242,18 @@ class _Search:
             if speed > best:
                 best, at = speed, point
         return best, at
+
+
+def _rounded_slowest(plant: StateSpace) -> list[complex]:
+    """Return the poles of :func:`slowest_poles`, but from NumPy's eigenvalues, whose last digits differ by machine."""
+    poles = sorted((complex(pole) for pole in plant.poles), key=abs, reverse=True)
+    poles = [pole for pole in poles if abs(pole) > AT_ZERO] or [0.0]
+    while len(poles) > 1 and poles[0].imag == 0.0 and step_share(plant, poles[0].real) < HIDDEN:
+        poles = poles[1:]
+    first = poles[0]
+    if len(poles) == 1 or first.imag != 0.0:
+        return [first, first.conjugate()] if first.imag != 0.0 else [first]
+    return [first, *[pole for pole in poles[1:] if pole.imag == 0.0][:1]]
 
 
 def _largest(X, peak: float) -> float:

@@ -25,6 +25,7 @@ from hysteresis_ros.control.damping import inner_loop as block
 from hysteresis_ros.control.damping.inner_loop import KINDS, as_output, damped, inner_loop, modes
 from hysteresis_ros.control.linearisation import linear_loop, whole_loop
 from hysteresis_ros.control.margins import loop_transfer, margins_of
+from hysteresis_ros.designs import damping as damping_designs
 from hysteresis_ros.designs.damping import damping_plants, design_damping
 from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ParameterError
@@ -248,3 +249,18 @@ def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_
         # the poles of the loop do not depend on the point at which it is opened
         assert np.sort(np.abs(slowest.poles))[-4:] == pytest.approx(np.sort(np.abs(whole.poles))[-4:], rel=1e-6)
         assert modes(around.plant.poles.astype(complex), T)[0][1] > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["irc", "ppf"])
+def test_filters_that_are_clearly_slower_need_no_exact_poles_and_do_not_change_the_best(kind, monkeypatch):
+    dynamics, found, exact, counts = stage(), [], [], []
+    plants = damping_plants(dynamics, T)
+    slowest = damping_designs.slowest_poles
+    monkeypatch.setattr(damping_designs, "slowest_poles", lambda plant: exact.append(plant) or slowest(plant))
+    for clearly in (damping_designs.CLEARLY, np.inf):
+        exact.clear()
+        monkeypatch.setattr(damping_designs, "CLEARLY", clearly)
+        found.append(design_damping(kind, dynamics, T, plants))
+        counts.append(len(exact))
+    assert found[0] == found[1] and counts[0] < 0.4 * counts[1]
