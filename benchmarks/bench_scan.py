@@ -15,8 +15,9 @@ Each plant has two actuators with hysteresis and creep of other classes than the
 (:mod:`hysteresis_ros.laboratory.foreign`), a structure with modes drawn around those of ``xy_scanner``, two modes that
 the model of an axis does not contain, cross-talk, one sample of delay, 5 nm of noise and 16-bit converters. The stage
 is excited, identified, controlled and scanned as the commands do it with their defaults: ``excite`` with the recipes
-multisine and decaying, ``identify --loops --into`` a stage of devices, ``design --learning``. All that the design knows
-is in these two recordings, and in the recorded runs of the scan. Errors are those of the true displacement, also
+multisine and decaying, ``identify --loops --into`` a stage of devices, ``design --controller pid --scan`` for the slow
+axis of the raster, ``design --learning``. All that the design knows is in these two recordings, and in the recorded
+runs of the scan. Errors are those of the true displacement, also
 between the samples, against the undelayed path.
 """
 
@@ -34,7 +35,15 @@ import numpy as np
 from hysteresis_ros.analysis.scan_report import ScanRun, scan_figures
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.coupled import Uncertainties, design_stage_learning, response_uncertainties
+from hysteresis_ros.designs.controller import DesignRequest
+from hysteresis_ros.designs.coupled import (
+    Uncertainties,
+    calm_bandwidth,
+    design_controllers,
+    design_stage_learning,
+    response_uncertainties,
+    with_designs,
+)
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage
 from hysteresis_ros.designs.stage_identification import IdentifiedStage, StageRequest, identify_stage
@@ -195,6 +204,16 @@ def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> tuple[StageParame
     return parameters, response_uncertainties(configuration, parameters)
 
 
+def calmed(parameters: StageParameters, known: Uncertainties) -> StageParameters:
+    """Return the stage with the controller that ``design --controller pid --scan`` gives the slow axis of a raster."""
+    calm = calm_bandwidth(parameters)
+    if calm is None:
+        return parameters
+    designs = design_controllers(parameters, DesignRequest("pid"), known, calm[0])
+    print(f"  {calm[0]}: bandwidth {designs[calm[0]].margins.bandwidth:.4g} Hz for its part of the raster", flush=True)
+    return with_designs(parameters, designs)
+
+
 def with_learning(parameters: StageParameters, learned: dict[str, LearningParameters]) -> StageParameters:
     """Return the stage with the given learning of its axes; inactive learning keeps its initial correction."""
     axes = [
@@ -290,7 +309,7 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
     )
     for name, (kind, texts, periods, _) in SCANS.items():
         values = tuple(text.format(size=size) for text in texts)
-        following = parameters.following(StageScanParameters(kind, values, periods=periods[0]))
+        following = calmed(parameters.following(StageScanParameters(kind, values, periods=periods[0])), known)
         chosen, left = {"feedback": {}}, {}
         if {"inverse", "learning"} & set(ways):
             found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM), known)

@@ -107,7 +107,8 @@ def design(config, namespace, output, response, runs, scan, values, **options):
     --learning it designs learning for the period of the scan of the stage, starting with the corrections for which the
     coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
     --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan raster width=20um
-    depth=20um -o learns.yaml`; the written file follows it.
+    depth=20um -o learns.yaml`; the written file follows it. With --controller, the slow axis of a raster gets a slow
+    controller.
     Without --controller, --feedforward and --learning it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
@@ -281,15 +282,15 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
 
 
 def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
-    """Return the configuration whose file has the scan, for which learning is designed."""
+    """Return the configuration whose file has the scan, for which controllers or learning are designed."""
     from hysteresis_ros.designs.coupled import with_written_scan
     from hysteresis_ros.designs.trials import FEWEST
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.loop.stage_parameters import StageParameters
     from hysteresis_ros.loop.stage_response import check_scan
 
-    if not options["learning"]:
-        raise ConfigurationError(f"--scan {scan} belongs to --learning; give both")
+    if not options["learning"] and not options["controller"]:
+        raise ConfigurationError(f"--scan {scan} belongs to --controller or --learning; give one of them")
     periods = FEWEST if options["learning"] == COUPLED else 0
     configuration = with_written_scan(configuration, scan, values, periods)
     check_scan(StageParameters.from_configuration(configuration))

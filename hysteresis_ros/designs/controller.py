@@ -430,6 +430,7 @@ class AxisDesign:
     gain: float = 1.0  #: Largest factor on the gain of the plant at which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
     together: str = ""  #: What the loops of the other axes of a stage have changed in this design.
+    calmed: str = ""  #: Why the law is slower than it could be.
 
     def misses(self) -> tuple[str, ...]:
         """Return the unmet requirements of the loop, on the model or on a drawn plant."""
@@ -717,8 +718,7 @@ def doubts(result: AxisDesign) -> list[str]:
         )
     if result.damped is not None:
         found += result.damped.doubts()
-    if result.together:
-        found.append(result.together)
+    found += [text for text in (result.together, result.calmed) if text]
     own = parameters.before_damping(result.sample_time)
     found += own.law.doubts(own, result.sample_time, result.tuned is not None)
     return found

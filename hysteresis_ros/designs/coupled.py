@@ -47,7 +47,14 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
-from hysteresis_ros.loop.stage_response import SMALLEST, scanned_paths, stage_loop, stage_plant, stage_response
+from hysteresis_ros.loop.stage_response import (
+    SMALLEST,
+    path_bandwidths,
+    scanned_paths,
+    stage_loop,
+    stage_plant,
+    stage_response,
+)
 from hysteresis_ros.models.linear_algebra import product
 
 #: Uncertainty of the response of each axis, by its name; the model of an axis without an entry is taken as exact.
@@ -56,6 +63,8 @@ Uncertainties = Mapping[str, ResponseUncertainty]
 #: Parts of the bandwidth of each axis alone that are tried where the other loops do not permit it, and the largest M_s
 #: of weaker dampings. Around a damping only the first parts are tried: a damping is for a fast law.
 SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
+#: Bandwidth of the slow axis of a raster, in multiples of its lines per second, or of the bandwidth of its path.
+CALM = 10.0
 #: Entry of the table of a stage whose loops are unstable.
 UNSTABLE = "none: the loop is unstable"
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
@@ -133,10 +142,51 @@ def design_controllers(
 
     They have to meet the requirements with the loops of all axes closed too, with a damping also with other resonances.
     If they do not, the law is made slower, or a requested damping weaker, or it is omitted; each design states why.
+    The slow axis of a raster gets a slow law, unless a bandwidth is requested.
     """
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
     designs = {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
-    return _adjusted_together(parameters, request, known, designs)
+    return _adjusted_together(parameters, request, known, _calmed(parameters, request, known, designs))
+
+
+def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
+    """Return the slow axis of the raster that a stage follows, and the bandwidth [Hz] that suffices for it, or None.
+
+    Such an axis hardly moves: a faster loop only moves it by more of the noise of its sensor.
+    """
+    scan = parameters.scan
+    if scan is None or not scan.slow_axis:
+        return None
+    bands = path_bandwidths(parameters)
+    slow = min(parameters.scanning_axes, key=lambda name: bands[parameters.place(name)])
+    following = scan.passes.begin[scan.passes.line == 1]
+    lines = scan.rate / float(following[0]) if following.size else scan.rate
+    return slow, float(f"{CALM * max(lines, bands[parameters.place(slow)]):.3g}")
+
+
+def _calmed(
+    parameters: StageParameters, request: DesignRequest, known: Uncertainties, designs: dict[str, AxisDesign]
+) -> dict[str, AxisDesign]:
+    """Return the designs with a slower law of the slow axis of a raster, if it meets its requirements."""
+    calm = calm_bandwidth(parameters)
+    if calm is None or not _free(request):
+        return designs
+    name, band = calm
+    if name not in designs or not designs[name].margins.bandwidth > band:
+        return designs
+    with contextlib.suppress(HysteresisError):
+        slower = _designed(parameters, request, known, {name: band})[name]
+        if not slower.misses():
+            possible = f"{designs[name].margins.bandwidth:.4g} Hz are possible"
+            said = f"the slow axis of the raster needs no more than {band:g} Hz, {possible}: the noise of its sensor "
+            said += "moves it less; --bandwidth requests another"
+            return {**designs, name: replace(slower, calmed=said)}
+    return designs
+
+
+def _free(request: DesignRequest) -> bool:
+    """Return whether a request leaves the bandwidth to the design."""
+    return request.bandwidth is None and request.criterion is None and request.robust is None
 
 
 def _adjusted_together(
@@ -158,10 +208,12 @@ def _adjusted_together(
             for peak in PEAKS
         ]
         ways.append((replace(request, damping=NONE), 0.0, f"no damping: {kind} does not suffice, however weak"))
-    free = request.bandwidth is None and request.criterion is None and request.robust is None
+    free = _free(request)
     for asked, deviation, words in ways:
         with contextlib.suppress(HysteresisError):  # there is no such damping
-            fastest = first if asked is request else _designed(parameters, asked, known, first)
+            fastest = first
+            if asked is not request:
+                fastest = _calmed(parameters, asked, known, _designed(parameters, asked, known, first))
             given, kept = with_designs(parameters, fastest), replace(asked, damping=None)
             for share in SHARES[: 1 if not free else AROUND if deviation else None]:
                 found = fastest

@@ -341,7 +341,11 @@ def test_a_scan_of_the_command_line_is_learned_as_one_of_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("config", "words", "message"),
     [
-        ("xy_scanner", ("--scan", "raster", *PATH), "--scan raster belongs to --learning; give both"),
+        (
+            "xy_scanner",
+            ("--scan", "raster", *PATH),
+            "--scan raster belongs to --controller or --learning; give one of them",
+        ),
         ("xy_scanner", ("--learning", "inversion", *PATH), "width=16um belongs to a scan: choose a scan"),
         ("xy_scanner", ("--learning", "inversion", "--scan", "rastr", *PATH), "did you mean raster"),
         ("xy_scanner", ("--learning", "inversion", "--scan", "raster", "width=90um", "depth=9um"), "exceeds the range"),

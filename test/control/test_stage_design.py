@@ -22,8 +22,9 @@ from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, sta
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.controller import DesignRequest
+from hysteresis_ros.designs.controller import DesignRequest, design_lines
 from hysteresis_ros.designs.coupled import (
+    calm_bandwidth,
     controllers_file,
     decoupled,
     design_controllers,
@@ -34,7 +35,7 @@ from hysteresis_ros.designs.coupled import (
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.designs.stage_stability import require_stable
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import StageParameters, StageScanParameters
 from hysteresis_ros.loop.stage_response import scanned_paths, stage_loop, stage_response
 
 
@@ -228,6 +229,30 @@ def test_loops_that_are_unstable_together_are_refused_with_a_bandwidth_that_is_s
 
 
 @pytest.mark.slow
+def test_the_slow_axis_of_a_raster_gets_a_slow_law_unless_a_bandwidth_is_requested():
+    """50 Hz are ten times its lines per second; the noise of its sensor moves it by a third of what it did."""
+    alone = StageParameters.from_configuration(load_configuration("xy_scanner"))
+    request, lines = DesignRequest("pid", noise=5e-9), ("lines=8", "flyback=2", "line_rate=5Hz", "slow=ramped")
+    first = design_controllers(alone, request, {})
+    size = ("width=20um", "depth=20um")
+    for axes, slow in ((("x", "y"), "y"), (("y", "x"), "x")):
+        raster = alone.following(StageScanParameters("raster", (*size, *lines), axes, periods=3))
+        assert calm_bandwidth(raster) == (slow, 50.0)
+        found = design_controllers(raster, request, {})
+        assert found[slow].margins.bandwidth == pytest.approx(50.0, rel=0.01) and not found[slow].misses()
+        assert "needs no more than 50 Hz" in "\n".join(map(str, design_lines(found[slow])))
+        assert found[slow].margins.noise_gain < 0.4 * first[slow].margins.noise_gain
+        (fast,) = {"x", "y"} - {slow}
+        assert found[fast].margins.bandwidth == first[fast].margins.bandwidth and not found[fast].calmed
+        asked = design_controllers(raster, replace(request, bandwidth=120.0), {})
+        assert asked[slow].margins.bandwidth == pytest.approx(120.0, rel=0.01)
+    steps = alone.following(StageScanParameters("raster", (*size, *lines[:3], "slow=stepped"), periods=3))
+    assert calm_bandwidth(steps)[1] > 50.0, "an axis that steps from line to line moves faster"
+    spiral = alone.following(StageScanParameters("spiral", ("diameter=20um", "turns=8", "frame_rate=1Hz"), periods=2))
+    assert calm_bandwidth(spiral) is None and calm_bandwidth(alone) is None
+    assert design_controllers(spiral, request, {})["y"].margins.bandwidth == first["y"].margins.bandwidth
+
+
 def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
     configuration = load_configuration("steering_mirror")
     parameters = StageParameters.from_configuration(configuration)
