@@ -42,16 +42,7 @@ from hysteresis_ros.control.damping.inner_loop import (
     require_force,
 )
 from hysteresis_ros.control.damping.kind import COMMAND, FORCE, Mode
-from hysteresis_ros.control.laws.pid import (
-    AT_ZERO,
-    FILTER,
-    PidParameters,
-    pid_state_space,
-    pid_with_zeros,
-    slowest_poles,
-)
-from hysteresis_ros.control.laws.pid import LITTLE as HIDDEN
-from hysteresis_ros.control.laws.pid import _share as step_share
+from hysteresis_ros.control.laws.pid import FILTER, PidParameters, pid_state_space, pid_with_zeros, slowest_poles
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import REQUIRED, Margins, judge, margins_of
 from hysteresis_ros.control.uncertainty import PossiblePlant, possible_plant
@@ -161,7 +152,7 @@ class _Search:
         if np.max(np.abs(found.poles)) >= 1.0 - BOUNDARY:
             return 0.0
         # most filters are much slower than the best one, which rounded poles tell too: exact ones take much longer
-        rough, _, _ = self._fastest(loop, _rounded_slowest(found))
+        rough, _, _ = self._fastest(loop, slowest_poles(found, found.poles.tolist()))
         if not rough * CLEARLY > least:
             return 0.0
         fastest, outer, gain = self._fastest(loop, slowest_poles(found))
@@ -242,18 +233,6 @@ class _Search:
             if speed > best:
                 best, at = speed, point
         return best, at
-
-
-def _rounded_slowest(plant: StateSpace) -> list[complex]:
-    """Return the poles of :func:`slowest_poles`, but from NumPy's eigenvalues, whose last digits differ by machine."""
-    poles = sorted((complex(pole) for pole in plant.poles), key=abs, reverse=True)
-    poles = [pole for pole in poles if abs(pole) > AT_ZERO] or [0.0]
-    while len(poles) > 1 and poles[0].imag == 0.0 and step_share(plant, poles[0].real) < HIDDEN:
-        poles = poles[1:]
-    first = poles[0]
-    if len(poles) == 1 or first.imag != 0.0:
-        return [first, first.conjugate()] if first.imag != 0.0 else [first]
-    return [first, *[pole for pole in poles[1:] if pole.imag == 0.0][:1]]
 
 
 def _largest(X, peak: float) -> float:

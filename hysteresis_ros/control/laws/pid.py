@@ -409,11 +409,11 @@ def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: fl
     return float(Kp), float(Ki), float(Kd)
 
 
-def slowest_poles(model: StateSpace) -> list[complex]:
-    """Return the poles that a PI or PID cancels: one or two."""
+def slowest_poles(model: StateSpace, poles: list[complex] | None = None) -> list[complex]:
+    """Return the poles that a PI or PID cancels: one or two, among ``poles`` of the model or its exact ones."""
     if not model.order:
         return [0.0]
-    poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
+    poles = sorted(eigenvalues(model.A) if poles is None else poles, key=_slowness, reverse=True)
     # poles at zero are a delay, which no zero can cancel
     poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
     while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
