@@ -49,7 +49,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hysteresis_ros.laboratory.epics.link import AxisLink
-from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_settings
+from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_settings, stage_at_rest
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
@@ -129,7 +129,7 @@ class HysteresisAxis(StandardReadable):
     config : str or path-like
         Configuration of the axis, which already runs (``hysteresis up CONFIG --reference hold``).
     namespace : str
-        The axis to use, if the configuration describes several.
+        The axis to use, if the configuration describes several or a stage.
     name : str
         Name of the device.
     unit : str
@@ -150,7 +150,9 @@ class HysteresisAxis(StandardReadable):
         tolerance: float | None = None,
         timeout: float = 10.0,
     ):
-        axis = single_axis(load_configuration(config), namespace or None)
+        configuration = load_configuration(config)
+        stage = stage_at_rest(configuration)
+        axis = stage.axes[stage.place(namespace)] if stage else single_axis(configuration, namespace or None)
         self.settings = motor_settings(axis, RecordOptions("", unit, 4, timeout, tolerance))
         self._link: _Link | None = None
         with self.add_children_as_readables(StandardReadableFormat.HINTED_SIGNAL):

@@ -534,21 +534,32 @@ def ioc(config, *, attach, prefix, namespace, egu, precision, tolerance, timeout
     """Start the axes of CONFIG, which follow setpoints only, and serve each as an EPICS motor record.
 
     The record of an axis in the namespace `left` is hysteresis:left; the record of an axis without namespace is
-    hysteresis:m1. Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
+    hysteresis:m1. The degrees of freedom of a stage are its axes: hysteresis:x, hysteresis:y.
+
+    Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.laboratory.epics.record import RecordOptions, at_rest, motor_settings
+    from hysteresis_ros.laboratory.epics.record import RecordOptions, at_rest, motor_settings, stage_at_rest
     from hysteresis_ros.laboratory.epics.server_process import interfaces, serve
     from hysteresis_ros.loop.parameters import in_time
     from hysteresis_ros.loop.reach import axes
 
     configuration = load_configuration(config)
     configuration = configuration.override("", autostart=True)
-    found = [at_rest(axis) for axis in axes(configuration, namespace)]
+    stage = stage_at_rest(configuration)
+    if stage is None:
+        found = [at_rest(axis) for axis in axes(configuration, namespace)]
+    elif namespace is None:
+        found = list(stage.axes)
+    else:
+        found = [stage.axes[stage.place(namespace.strip("/"))]]
     record = RecordOptions(prefix, egu, precision, timeout, tolerance)
     motors = [motor_settings(axis, record) for axis in found]
-    started = [] if attach else [in_time(axis) for axis in found]
-    raise SystemExit(serve(motors, started, interfaces(interface), port, lambda: bool(requested)))
+    if attach:
+        started, stage = [], None
+    else:
+        started = [in_time(axis) for axis in found] if stage is None else list(stage.axes)
+    raise SystemExit(serve(motors, started, interfaces(interface), port, lambda: bool(requested), stage))

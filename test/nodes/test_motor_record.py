@@ -284,6 +284,28 @@ def test_wrong_options_are_one_line_and_exit_code_2(words, said):
     assert result.exit_code == 2 and said in result.output and len(result.output.strip().splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "names", "together"),
+    [([], ["x", "y"], True), (["--namespace", "y"], ["y"], True), (["--attach"], ["x", "y"], False)],
+)
+def test_the_axes_of_a_stage_are_motors_and_all_of_them_are_started(monkeypatch, words, names, together):
+    served = []
+    monkeypatch.setattr(server_process, "serve", lambda *given: served.append(given) or 0)
+    result = CliRunner().invoke(main, ["ioc", "xy_scanner", "--prefix", "s:", *words])
+    assert result.exit_code == 0, result.output
+    ((motors, started, _, _, _, stage),) = served
+    assert [(motor.name, motor.namespace, motor.joint) for motor in motors] == [(f"s:{a}", f"/{a}", a) for a in names]
+    assert [axis.namespace for axis in started] == (["/x", "/y"] if together else [])
+    assert (stage is not None) == together
+    assert all(axis.generator.waveform.type == "hold" for axis in started)
+    assert stage is None or not stage.stage.scan.kind
+
+
+def test_an_axis_that_a_stage_does_not_have_is_no_motor():
+    result = CliRunner().invoke(main, ["ioc", "xy_scanner", "--namespace", "z"])
+    assert result.exit_code == 2 and "it has x, y" in result.output
+
+
 def test_without_caproto_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr(server_process.importlib.util, "find_spec", lambda name: None if name == "caproto" else True)
     result = CliRunner().invoke(main, ["ioc", "kim2009", "--attach"])

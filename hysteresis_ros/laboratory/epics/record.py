@@ -16,9 +16,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 from hysteresis_ros import signals
+from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.source import GeneratorSource
+from hysteresis_ros.loop.stage_parameters import StageParameters, StageScanParameters
 from hysteresis_ros.references.approach import HIGH, LOW, effective_limits
 from hysteresis_ros.references.moves import Arrival
 from hysteresis_ros.units import UNITS
@@ -88,6 +90,14 @@ def at_rest(axis: AxisParameters) -> AxisParameters:
         return axis
     waveform = replace(own.waveform, type="hold", offset=0.0, phase=0.0)
     return replace(axis, reference_generator=replace(own, waveform=waveform))
+
+
+def stage_at_rest(configuration: Configuration) -> StageParameters | None:
+    """Return the stage of a configuration without its scan, its axes as :func:`at_rest`; None without a stage."""
+    if configuration.stage is None:
+        return None
+    stage = StageParameters.from_configuration(configuration).following(StageScanParameters()).in_time()
+    return replace(stage, axes=tuple(map(at_rest, stage.axes)))
 
 
 def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSettings:

@@ -24,7 +24,8 @@ from functools import partial
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.laboratory.epics.record import MotorSettings
 from hysteresis_ros.loop.parameters import AxisParameters
-from hysteresis_ros.nodes.launcher import Graph, die_with_parent, node_environment, require_ros
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.nodes.launcher import Graph, die_with_parent, node_environment, require_messages, require_ros
 
 #: Time that the server gets to exit before it is killed [s].
 PATIENCE = 5.0
@@ -61,15 +62,21 @@ def serve(
     addresses: Sequence[str],
     port: int | None,
     leave: Callable[[], bool],
+    stage: StageParameters | None = None,
 ) -> int:
-    """Serve motor records until a request to exit or the end of the server; return its exit code."""
+    """Serve motor records until a request to exit or the end of the server; return its exit code.
+
+    The ``axes`` are started before, those of a ``stage`` together.
+    """
     require_ros()
     require_caproto()
+    if stage is not None:
+        require_messages(stage)
     # an axis is served only when it can move
     served = {"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses), "wait": bool(axes)}
     request = json.dumps(served)
     with contextlib.ExitStack() as stack:
-        graph = stack.enter_context(Graph(list(axes), log_level="warn")) if axes else None
+        graph = stack.enter_context(Graph(list(axes), log_level="warn", stage=stage)) if axes else None
         # a separate process, because the pip wheels of ROS restart the interpreter on import
         server = subprocess.Popen(
             [sys.executable, "-m", "hysteresis_ros.laboratory.epics.server", request],
