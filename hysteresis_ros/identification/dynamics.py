@@ -536,8 +536,9 @@ WHITENING, WHITENED = 40, 2
 #: Largest number of evaluations of the refinement in time. A sample is an outlier if its whitened residual is more than
 #: FAR times the median of AROUND samples.
 REFINEMENTS, FAR, AROUND = 12, 10.0, 101
-#: Size of the residual, relative to the output, below which nothing is left to refine.
-EXACT = 1e-9
+#: Size of the residual, relative to the output, below which nothing is left to refine. Fewer samples do not determine
+#: the whitening; of more, the spectra have so long segments that their window has little effect.
+EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
 
 
 class TimeSearch(ModalSearch):
@@ -905,7 +906,7 @@ def fit_stage(
     """
     if kind == MODES:
         spectra = segment_spectra(w, y, sample_time, skip, late)
-        return _modal_stage(spectra, TimeSearch(spectra, w, y, skip), parts, zeros, accepted)
+        return _modal_stage(spectra, (w, y, skip), parts, zeros, accepted)
     if kind in CONTINUOUS:
         return _continuous_stage(w, y, sample_time, kind, skip, intersample, initial)
     w, y = np.asarray(w, dtype=float)[skip:], np.asarray(y, dtype=float)[skip:]
@@ -924,12 +925,12 @@ def fit_stage(
     raise IdentificationError(f"linear = {kind!r}: must be one of {', '.join(STAGES)}")
 
 
-def _modal_stage(spectra: SegmentSpectra, search: TimeSearch, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and modes that are accepted, and refine modes in time."""
+def _modal_stage(spectra: SegmentSpectra, samples: tuple, parts, zeros: bool, accepted) -> LinearStage:
+    """Choose lag, delay and modes that are accepted, and refine modes on samples in time: (w, y, first)."""
     pair = tuple(part for part in PAIR if part in parts)
     found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
-    if found.structure.modes:
-        refined = search.refined(found)
+    if found.structure.modes and REFINED[0] <= spectra.samples <= REFINED[1]:
+        refined = TimeSearch(spectra, *samples).refined(found)
         is_accepted = accepted is None or all(accepted(mode.frequency) for mode in refined.part.modes)
         found = refined if is_accepted and refined.gain > 0.0 else found
     part = found.part

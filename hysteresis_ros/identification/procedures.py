@@ -39,7 +39,7 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
 from hysteresis_ros.identification.dynamics import MODES, TURNS, fit_stage, found_with
 from hysteresis_ros.identification.generalised_play import competitors, fit_generalised_play
-from hysteresis_ros.identification.hammerstein import without_drift
+from hysteresis_ros.identification.hammerstein import HammersteinFit, without_drift
 from hysteresis_ros.identification.linear_systems import FitError, LinearPart
 from hysteresis_ros.identification.plant_model import (
     FittedHysteresis,
@@ -55,7 +55,15 @@ from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import FREE_CELLS, WIDTHS, Density, FreeDensity, fit_preisach
 from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
-from hysteresis_ros.identification.separation import Separated, find_start, remembered, separated
+from hysteresis_ros.identification.separation import (
+    RESTED,
+    Separated,
+    Start,
+    find_start,
+    remembered,
+    rests_behind,
+    separated,
+)
 from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, POOR, SAME_DRIFT
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
 from hysteresis_ros.identification.validation import parameter_covariance
@@ -128,9 +136,18 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     # the stage includes the lag, but the hysteresis must not absorb it: fit the hysteresis with a lag
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
+
+    def found_after(start: Start) -> HammersteinFit:
+        voltage, displacement, skip = start.signals(data)
+        options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
+        return found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
+
+    fit = found_after(start)
+    free = request.skip is None and request.initial is None
+    if free and start.skip and fit.linear_part.modes and rests_behind(data, start, fit.linear_part, structure):
+        start = RESTED
+        fit = found_after(start)
     voltage, displacement, skip = start.signals(data)
-    options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
-    fit = found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
     if request.model in SEPARATING and not request.options:
         request.separations.setdefault(start.past(parts), []).append(fit)
     request = replace(request, model=fit.hysteresis.type)

@@ -89,6 +89,10 @@ class Start:
         return np.concatenate([past, voltage[: self.skip]])
 
 
+#: The start of a recording whose first rise shows that the actuator rested.
+RESTED = Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
+
+
 def find_start(
     data: IdentificationData,
     skip: int | None = None,
@@ -105,7 +109,7 @@ def find_start(
     if initial == "zero" or (skip is not None and initial is None):
         words = f"the first {skip} samples omitted" if skip else "at rest at 0 V before the recording"
         return Start("zero", skip or 0, (), asked + words)
-    trials = _PastTrials(data, structure or (lambda condensed: FreeWeights(condensed, TRIED_PLAYS, TRIED_ZONES)))
+    trials = _PastTrials(data, structure or _tried)
     if initial == "estimate":
         voltage, _ = trials.remanent()
         return Start("estimate", skip or 0, (voltage, float(data.input[0])), asked + remanence(voltage))
@@ -114,12 +118,25 @@ def find_start(
         return _remembered(data, trials)
     rested = trials.at_rest(wiped) if whole else trials.begins_at_rest(wiped)
     if rested:
-        return Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
+        return RESTED
     seconds = wiped * data.sample_time
     note = (
         f"the first {wiped} samples ({seconds:.3g} s) omitted, until the voltage had been near both ends of its range"
     )
     return Start("zero", wiped, (), note if wiped else "no samples omitted: the voltage begins at an end of its range")
+
+
+def rests_behind(data: IdentificationData, start: Start, part: LinearPart, structure=None) -> bool:
+    """Whether rest at 0 V explains the samples that a start omits, now that the dynamics are known.
+
+    The trials of :func:`find_start` have a lag alone, and the response of modes to the first rise looks like remanence.
+    """
+    trials = _PastTrials(data, structure or _tried, len(data))
+    return start.kind == "zero" and trials.begins_at_rest(start.skip, part)
+
+
+def _tried(condensed: Condensed) -> FreeWeights:
+    return FreeWeights(condensed, TRIED_PLAYS, TRIED_ZONES)
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
@@ -145,15 +162,15 @@ def remanence(voltage: float) -> str:
 
 
 class _PastTrials:
-    """Fits to a coarse recording under different histories before it, each with its own lag."""
+    """Fits to a recording of ``enough`` samples under different histories before it, each with its own lag."""
 
-    def __init__(self, data: IdentificationData, structure):
-        self.data, self.structure = data, structure
+    def __init__(self, data: IdentificationData, structure, enough: int = COARSE):
+        self.data, self.structure, self.enough = data, structure, enough
 
     def condensed(self, start: Start) -> Condensed:
         """Return the condensed recording after a given history."""
         v, y, skip = start.signals(self.data)
-        return condense(v, y, self.data.sample_time, skip, history=start.history, enough=COARSE)
+        return condense(v, y, self.data.sample_time, skip, history=start.history, enough=self.enough)
 
     def error(self, start: Start = Start("zero", 0), part=None) -> np.ndarray:
         """Return the residual [m] of the samples after this history, shape (N,) or slightly shorter."""
@@ -168,8 +185,10 @@ class _PastTrials:
             AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
         )
 
-    def begins_at_rest(self, first: int) -> bool:
+    def begins_at_rest(self, first: int, part: LinearPart | None = None) -> bool:
         """Whether rest at 0 V explains the samples before ``first``, which would be omitted otherwise.
+
+        ``part``: the dynamics, if they are known; otherwise a lag.
 
         For a recording that begins at 0 V: no remanence explains them clearly better than rest does. If a large part
         would be omitted: rest explains all samples about as well as a fit to those after ``first`` explains them. A fit
@@ -179,12 +198,12 @@ class _PastTrials:
             return False
         alone = Start("zero", first)
         if first > MOST_OMITTED * len(self.data):
-            error = self.error()
-            return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(self.error(alone))
+            error = self.error(part=part)
+            return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(self.error(alone, part))
         voltage = self.data.input
         if abs(voltage[0]) > CLOSED_PART * np.ptp(voltage):
             return False
-        lag, largest, bipolar = _lag(self.condensed(alone)), *self._largest()
+        lag, largest, bipolar = part or _lag(self.condensed(alone)), *self._largest()
         error = self.error(part=lag)
         rest = _trimmed(error[:first])
         enough = REMANENT * rest if rest <= EXPLAINED * _trimmed(error[first:]) else rest

@@ -18,7 +18,7 @@ import pytest
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import separation, workflow
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.dynamics import TurnSearch
+from hysteresis_ros.identification.dynamics import TurnSearch, in_series
 from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.plant_model import simulate_chain
 from hysteresis_ros.identification.prandtl_ishlinskii import (
@@ -30,7 +30,7 @@ from hysteresis_ros.identification.prandtl_ishlinskii import (
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preprocessing import condense, simple_loops, wiped_out
 from hysteresis_ros.identification.registry import parse_options
-from hysteresis_ros.identification.separation import find_start
+from hysteresis_ros.identification.separation import find_start, rests_behind
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.laboratory.benchmark.synthetic import synthetic_task
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
@@ -239,6 +239,21 @@ def test_the_response_of_modes_to_the_first_rise_is_no_remanence(seed, remanent)
         first = wiped_out(data.input)
         data = replace(data, output=data.output + 1.5e-6 * (np.arange(len(data)) < first) * (1 - data.input / 100.0))
     assert (find_start(data).skip == 0) == (not remanent)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("remanent", [False, True])
+def test_the_first_rise_is_judged_again_when_the_modes_are_known(remanent):
+    task = synthetic_task(19)
+    data, truth = task.train, task.truth
+    first = wiped_out(data.input)
+    if remanent:
+        data = replace(data, output=data.output + 3.0e-6 * (np.arange(len(data)) < first) * (1 - data.input / 100.0))
+    modes = in_series(truth["lag"], [(truth["frequencies"][0], truth["dampings"][0])])
+    part = LinearPart(lag=truth["lag"], delay=truth["delay"], modes=modes, hold=data.sample_time)
+    start = find_start(data)
+    assert start.skip == first  # with a lag alone, a small remanence explains the rise better
+    assert rests_behind(data, start, part) == (not remanent)
 
 
 @pytest.mark.slow
