@@ -15,6 +15,7 @@ import asyncio
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from record_support import SETTINGS
@@ -158,6 +159,27 @@ def test_limits_units_and_digits_are_those_of_the_record(served):
     assert served.asked == []
     write(".SPMG", "Go")
     until(lambda: served.asked == [pytest.approx(3e-6)], what="the move")
+
+
+def test_an_axis_is_silent_until_its_subscription_of_setpoints_is_discovered():
+    """A setpoint that is published before would be lost."""
+    pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+    from sensor_msgs.msg import JointState
+
+    from hysteresis_ros.laboratory.epics.link import AxisLink
+
+    count = 0
+    node = SimpleNamespace(
+        create_publisher=lambda *_: SimpleNamespace(get_subscription_count=lambda: count),
+        create_client=lambda *_: None,
+        create_subscription=lambda *_: None,
+    )
+    link = AxisLink(node, SETTINGS)
+    link._on_measurement(JointState(name=[SETTINGS.joint], position=[1e-6]))
+    link._on_state(JointState(name=["setpoint"], position=[1e-6]))
+    assert link.look(time.monotonic()).alarm == SILENT
+    count = 1
+    assert link.look(time.monotonic()).alarm == Alarm()
 
 
 def test_the_link_moves_stops_and_judges_running_nodes(inside, observer, monkeypatch):

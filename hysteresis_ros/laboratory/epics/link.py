@@ -90,9 +90,11 @@ class AxisLink:
 
     def look(self, now: float) -> Seen:
         """Return the state of the axis at a time [s] of the monotonic clock."""
+        # a setpoint that is published before the axis was discovered would be lost
+        discovered = self._setpoints.get_subscription_count() > 0
         with self._lock:
             alarm = Alarm()
-            if now - min(self._heard, self._told) > SILENCE:
+            if now - min(self._heard, self._told) > SILENCE or not discovered:
                 alarm = SILENT
             elif self._tripped:
                 alarm = STOPPED
