@@ -19,6 +19,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import axes, reach_warnings, reachable_displacements
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.references.approach import Approach, ApproachParameters
 
 
 def axis(name="kim2009", **nodes):
@@ -170,8 +171,10 @@ def test_a_warning_names_steps_whose_level_is_not_reached_before_the_next_one(ki
     }
     given = {"minimum": 0.0, "maximum": 10e-6, "approach__steps": True, "waveform__type": kind, **limits}
     step = 1.0 / axis().plant_simulator.sample_rate
+    approach = ApproachParameters(maximum_velocity=1e-3, maximum_acceleration=0.2)
+    needed = round(Approach(approach, step, 0.0, 10e-6).duration(4e-6) / step)
     found = []
-    for samples in (20, 60, 80, 90, 100, 150, 400):
+    for samples in (20, needed - 2, needed + 1, 400):
         time = samples * step
         if kind == "square":
             given |= {"waveform__polarity": "symmetric", "waveform__frequency": 0.5 / time}
