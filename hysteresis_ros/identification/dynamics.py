@@ -231,7 +231,7 @@ def _held_mode(frequency, damping, sample_time: float, part: float):
     """Return numerators in 1/z of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) for a held input, and the denominator.
 
     ``part`` is the part of a sample by which the input is late. The three coefficients of a numerator lack the
-    factor 1/z.
+    factor 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
     """
     omega = 2.0 * np.pi * frequency
     pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
@@ -245,7 +245,10 @@ def _held_mode(frequency, damping, sample_time: float, part: float):
 
 
 def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float, float]:
-    """Return the two coefficients of the numerator of a lag for a held input, without a factor 1/z, and its pole."""
+    """Return the two coefficients of the numerator of a lag for a held input, without a factor 1/z, and its pole.
+
+    Units: ``lag``, ``sample_time`` [s]; ``part`` as in :func:`_held_mode`.
+    """
     if not lag > 0.0:
         return 1.0 - part, part, 0.0
     late = -np.expm1(-(1.0 - part) * sample_time / lag)

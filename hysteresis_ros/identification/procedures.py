@@ -144,7 +144,7 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
 
     fit = found_after(start)
     free = request.skip is None and request.initial is None
-    if free and start.skip and fit.linear_part.modes and rests_behind(data, start, fit.linear_part, structure):
+    if free and start.skip and fit.linear_part.modes and rests_behind(data, start.skip, fit.linear_part, structure):
         start = RESTED
         fit = found_after(start)
     voltage, displacement, skip = start.signals(data)

@@ -126,13 +126,12 @@ def find_start(
     return Start("zero", wiped, (), note if wiped else "no samples omitted: the voltage begins at an end of its range")
 
 
-def rests_behind(data: IdentificationData, start: Start, part: LinearPart, structure=None) -> bool:
-    """Whether rest at 0 V explains the samples that a start omits, now that the dynamics are known.
+def rests_behind(data: IdentificationData, first: int, part: LinearPart, structure=None) -> bool:
+    """Whether rest at 0 V explains the omitted samples before ``first``, now that the dynamics are known.
 
     The trials of :func:`find_start` have a lag alone, and the response of modes to the first rise looks like remanence.
     """
-    trials = _PastTrials(data, structure or _tried, len(data))
-    return start.kind == "zero" and trials.begins_at_rest(start.skip, part)
+    return _PastTrials(data, structure or _tried, len(data)).begins_at_rest(first, part)
 
 
 def _tried(condensed: Condensed) -> FreeWeights:

@@ -251,9 +251,8 @@ def test_the_first_rise_is_judged_again_when_the_modes_are_known(remanent):
         data = replace(data, output=data.output + 3.0e-6 * (np.arange(len(data)) < first) * (1 - data.input / 100.0))
     modes = in_series(truth["lag"], [(truth["frequencies"][0], truth["dampings"][0])])
     part = LinearPart(lag=truth["lag"], delay=truth["delay"], modes=modes, hold=data.sample_time)
-    start = find_start(data)
-    assert start.skip == first  # with a lag alone, a small remanence explains the rise better
-    assert rests_behind(data, start, part) == (not remanent)
+    assert find_start(data).skip == first  # with a lag alone, a small remanence explains the rise better
+    assert rests_behind(data, first, part) == (not remanent)
 
 
 @pytest.mark.slow
