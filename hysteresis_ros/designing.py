@@ -177,7 +177,8 @@ def design_learning(
     period : float, optional
         Period of the reference [s]; by default that of the waveform.
     bandwidth : float, optional
-        Bandwidth of the learning [Hz]; by default the highest at which it converges on all possible plants.
+        Bandwidth of the learning [Hz]; by default the one that leaves the least error of noise and reference, or the
+        highest at which it converges on all possible plants if the sensor has no noise.
     maximum : float, optional
         Largest correction [m]; by default 10 % of the stroke.
     namespace : str, optional

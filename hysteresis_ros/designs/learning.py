@@ -12,13 +12,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.learning import LearningParameters, period_samples
+from hysteresis_ros.control.learning import SAME, LearningParameters, period_samples
 from hysteresis_ros.control.linearisation import TINY
 from hysteresis_ros.control.margins import plant_state_space
 from hysteresis_ros.control.uncertainty import ResponseUncertainty, Uncertainty, drawn_plants
@@ -41,6 +42,8 @@ POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, dr
 MAXIMUM, SHORTFALL = 0.1, 5e-3
 #: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
+#: Number of periods after which the error of a bandwidth is predicted, and numbers of periods without learning for it.
+LEARNED, RUNS = 20, (6, 24, 96)
 #: Least and largest number of samples of an impulse response, and the largest fraction of it that may remain at the
 #: end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
@@ -64,7 +67,8 @@ class LearningRequest:
 
     kind: str  #: ``inversion``, ``norm_optimal``, ``repetitive`` or ``coupled``.
     period: float | None = None  #: Period of the reference [s]; by default that of the configured waveform.
-    bandwidth: float | None = None  #: Bandwidth of the learning [Hz]; by default the highest that contracts.
+    #: Bandwidth of the learning [Hz]; by default the one with the least error, or the highest that contracts.
+    bandwidth: float | None = None
     maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
@@ -185,7 +189,7 @@ def closed_loop(
         others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
     pushed = centre * (1.0 + own * disturbed) / (1.0 - disturbed * (centre - own))
     model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))
-    return Response(model, np.array(found), pushed)
+    return Response(model, np.array(found), pushed, 1.0 + own * disturbed)
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
@@ -226,7 +230,8 @@ def design_learning(
             f"--bandwidth {bandwidth:g}: must be above 0 and below half the sample rate, {rate / 2:g} Hz"
         )
     loop = closed_loop(node, request.possible, response)
-    filters = design_filters(request.kind, loop, samples, None if bandwidth is None else bandwidth / rate, rate)
+    error = None if bandwidth is not None else expected_error(axis, request.possible, loop, samples)
+    filters = design_filters(request.kind, loop, samples, None if bandwidth is None else bandwidth / rate, rate, error)
     low, high = reachable_displacements(axis)
     maximum = request.maximum if request.maximum is not None else MAXIMUM * (high - low)
     parameters = LearningParameters(
@@ -244,6 +249,68 @@ def design_learning(
         shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
     )
     return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
+
+
+def expected_error(
+    axis: AxisParameters, possible: Uncertainty, loop: Response, period: int
+) -> Callable[[Filters], float] | None:
+    """Return a function that predicts the RMS error [m] after :data:`LEARNED` periods of learning with filters.
+
+    None if the sensor has no noise, or the reference of the axis does not repeat with the period: then nothing is
+    lost with the highest bandwidth, or unknown. What repeats without learning is that of a run of the axis on its own
+    plant; errors of the inverse's model, and those of a plant with another linear response, are added as the ranges
+    of the possible plants state them. Learning leaves (1 − Q)/(1 − Q + G T) of it, and adds the noise that it has
+    averaged.
+
+    Units: ``period`` [samples].
+    """
+    sensor = axis.plant_simulator.sensor
+    variance = sensor.noise**2 + sensor.resolution**2 / 12.0
+    found = None if not variance or axis.reference_generator is None else _repeated(axis, period)
+    if found is None:
+        return None
+    reference, error = found
+    inverse = axis.hysteresis_compensator.inverse
+    if inverse.type != "none":
+        open_ = replace(axis.hysteresis_compensator, inverse=replace(inverse, type="none"))
+        without = _repeated(replace(axis, hysteresis_compensator=open_), period)
+        error = np.hypot(np.abs(error), possible.hysteresis * np.abs(error if without is None else without[1]))
+    grid, lines = np.linspace(0.0, np.pi, len(loop.model)), 2.0 * np.pi * np.arange(period // 2 + 1) / period
+    off = np.interp(lines, grid, np.max(np.abs(loop.possible - loop.model), axis=0))
+    power = np.abs(error) ** 2 + np.abs(off * reference) ** 2
+    power[1 : (period + 1) // 2] *= 2.0
+    power /= period**2
+    closed = np.interp(lines, grid, loop.model.real) + 1j * np.interp(lines, grid, loop.model.imag)
+    assert loop.noise is not None
+    passed = np.abs(loop.model * loop.noise) ** 2 * variance
+
+    def expected(filters: Filters) -> float:
+        low_pass, learning = filters.responses(lines)
+        left = np.abs(1.0 - low_pass) / np.maximum(np.abs(1.0 - low_pass + learning * closed), TINY)
+        low_pass, learning = filters.responses(grid)
+        # sum of the squares of γ_k ∏ (1 − γ_i s) over the periods k, with γ = n/j and the fraction s learned per period
+        forgotten = np.maximum(2.0 * AVERAGING * np.real(1.0 - low_pass + learning * loop.model) - 1.0, 1.0)
+        noise = np.mean(passed * np.abs(learning) ** 2 * AVERAGING**2 / (forgotten * LEARNED))
+        return float(np.sqrt(np.sum(power * left**2) + noise))
+
+    return expected
+
+
+def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the spectra of reference and measured error of a period without learning and noise, shape (N // 2 + 1,).
+
+    None if the reference rests, or does not repeat with the period.
+    """
+    plant, node = axis.plant_simulator, axis.motion_controller
+    silent = replace(plant, sensor=replace(plant.sensor, noise=0.0, resolution=0.0))
+    made = Axis(replace(axis, plant_simulator=silent, motion_controller=replace(node, learning=LearningParameters())))
+    for periods in RUNS:  # the axis first approaches its reference
+        run = made.run(made.default_setpoints(periods * period))
+        reference, measured = (run[name][-2 * period :].reshape(2, period) for name in ("reference", "measured"))
+        error = reference[1] - measured[1]
+        if np.max(np.abs(np.diff(reference, axis=0))) < SAME and np.all(np.isfinite(error)):
+            return None if np.ptp(reference) < SAME else (np.fft.rfft(reference[1]), np.fft.rfft(error))
+    return None
 
 
 def settling(loop: Response) -> int:
@@ -280,10 +347,11 @@ def learning_lines(result: LearningDesign) -> list[str]:
     filters, given, ranges = result.filters, result.parameters, result.request.possible
     rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
     nominal = result.rate(result.response.model[np.newaxis])
+    noisy = f"; up to {filters.highest * rate:.4g} Hz contract, but noise would add more" if filters.highest else ""
     rows = [
         ("learning", given.type),
         ("period", f"{given.period:g} s, {round(given.period * rate)} samples"),
-        ("bandwidth of learning", f"{filters.bandwidth * rate:.4g} Hz"),
+        ("bandwidth of learning", f"{filters.bandwidth * rate:.4g} Hz{noisy}"),
         ("taps", f"{len(filters.error)} of the error, {2 * len(filters.robustness) - 1} of Q"),
         ("looks ahead", f"{filters.lead} samples"),
         ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz (|Q - G T|, at most 0.9)"),

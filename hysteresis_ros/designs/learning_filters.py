@@ -12,7 +12,7 @@
 T is the closed loop from reference to measured displacement for the model, T_p the closed loop for another possible
 plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at
 which |Q − G T_p|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all
-plants.
+plants; or, where noise and repeated error are known, the lower one that leaves least of both.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -33,7 +33,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +71,8 @@ class Response(NamedTuple):
     possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
     #: shape (m,); Response from the input of the plant to the displacement, in closed loop, for the model.
     pushed: np.ndarray | None = None
+    #: shape (m,); Response from the sensor's noise to the measured displacement, in closed loop, for the model.
+    noise: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,8 @@ class Filters:
     contraction: float  #: Largest |Q − G T_p| over all frequencies and plants.
     nominal: float  #: The same for the model alone.
     worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
+    #: Highest bandwidth that contracts, as a fraction of the sample rate, if a lower one leaves less error; else 0.
+    highest: float = 0.0
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
         """Return Q and G at angles, shape (m,) each."""
@@ -109,18 +113,23 @@ def contraction(low_pass, learning, possible, gain: float = 1.0) -> np.ndarray:
 
 
 def design_filters(
-    kind: str, response: Response, period: int, bandwidth: float | None = None, sample_rate: float = 1.0
+    kind: str,
+    response: Response,
+    period: int,
+    bandwidth: float | None = None,
+    sample_rate: float = 1.0,
+    error: Callable[[Filters], float] | None = None,
 ) -> Filters:
-    """Return the contracting filters of the highest or of the requested bandwidth.
+    """Return the contracting filters of the highest or of the requested bandwidth, or of the least ``error``.
 
     Units: ``period`` [samples], ``sample_rate`` [Hz].
     """
-    wanted = np.geomspace(HIGHEST, max(LOWEST, 0.5 / period), STEPS) if bandwidth is None else [bandwidth]
+    wanted = np.geomspace(HIGHEST, max(LOWEST, 0.5 / period), STEPS) if bandwidth is None else np.array([bandwidth])
     design = KINDS[kind](response, period)
-    for cutoff in wanted:
+    for number, cutoff in enumerate(wanted):
         found = design(float(cutoff))
         if found.contraction <= 1.0 - MARGIN:
-            return found
+            return found if error is None else _least(found, design, wanted[number + 1 :], error)
     asked = "no bandwidth" if bandwidth is None else f"a bandwidth of {bandwidth * sample_rate:.4g} Hz does not"
     raise ConfigurationError(
         f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all possible "
@@ -128,6 +137,19 @@ def design_filters(
         f"{1.0 - MARGIN:g} is allowed; request a lower --bandwidth, narrow the ranges (--resonance-range, "
         "--gain-range), or use a controller that damps the resonance"
     )
+
+
+def _least(highest: Filters, design: Callable[[float], Filters], lower, error: Callable[[Filters], float]) -> Filters:
+    """Return the contracting filters with the least error, from the highest bandwidth down until it has doubled."""
+    best, least = highest, error(highest)
+    for cutoff in lower:
+        found = design(float(cutoff))
+        left = error(found)
+        if left < least and found.contraction <= 1.0 - MARGIN:
+            best, least = found, left
+        elif left > 2.0 * least:
+            break
+    return best if best is highest else replace(best, highest=highest.bandwidth)
 
 
 def _judged(kind: str, response: Response, taps, lead: int, robustness) -> Filters:

@@ -94,10 +94,10 @@ def test_plants_around_the_configured_one_deviate_as_far_as_is_said():
 @pytest.mark.parametrize("name", ["picma_stage", "kim2009"])
 def test_what_is_known_of_an_axis_does_not_depend_on_its_plant(name):
     configuration = load_configuration(name)
-    expected = known(configuration, 16)
+    expected = known(configuration, 16, Conditions.noise)
     for seed in (1, 2):
         plant = mismatched(configuration, 0.05, seed).override("plant_simulator", sensor__noise=1e-7, sensor__seed=seed)
-        assert known(plant, 16) == expected
+        assert known(plant, 16, Conditions.noise) == expected
     trial = trial_around(configuration, Conditions(draws=2))
     assert trial.given == expected
     axis = expected.axis

@@ -24,7 +24,15 @@ from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import close
 from hysteresis_ros.control.uncertainty import drawn_plants
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
-from hysteresis_ros.designs.learning import POSSIBLE, LearningRequest, closed_loop, design_learning, learning_file
+from hysteresis_ros.designs.learning import (
+    POSSIBLE,
+    LearningRequest,
+    closed_loop,
+    design_learning,
+    expected_error,
+    learning_file,
+    learning_lines,
+)
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import single_axis
@@ -84,6 +92,48 @@ def test_in_ten_periods_on_another_plant_the_error_falls_to_less_than_a_tenth(ki
     error = (run["reference"] - run["measured"]).reshape(14, 40)
     size = np.sqrt(np.mean(error**2, axis=1))
     assert np.max(size[11:]) < 0.1 * size[1]
+
+
+def noisy(waveform, frequency, noise):
+    """Return an axis with a reference of 8 µm whose sensor has noise [m]."""
+    reference = {"waveform.type": waveform, "waveform.frequency": frequency, "waveform.amplitude": 8e-6}
+    found = load_configuration("picma_stage").override("plant_simulator", sensor__noise=noise)
+    return single_axis(found.override("reference_generator", **reference, initial_setpoint=2e-5))
+
+
+def left(axis, parameters, period):
+    """Return the RMS error of the true displacement [m] in the periods 21 to 24 of learning."""
+    made = Axis(replace(axis, motion_controller=replace(axis.motion_controller, learning=parameters)))
+    run = made.run(made.default_setpoints(24 * period))
+    return float(np.std((run["reference"] - run["displacement"])[-4 * period :]))
+
+
+@pytest.mark.parametrize("kind", ["inversion", "norm_optimal"])
+def test_the_error_that_a_bandwidth_leaves_is_predicted(kind):
+    axis, period = noisy("triangle", 5.0, 2e-7), 40
+    for bandwidth in (10.0, 20.0, 40.0, 70.0):
+        found = design_learning(axis, LearningRequest(kind, bandwidth=bandwidth, possible=NEAR))
+        predicted = expected_error(axis, NEAR, found.response, period)(found.filters)
+        assert predicted == pytest.approx(left(axis, found.parameters, period), rel=0.08), bandwidth
+
+
+@pytest.mark.parametrize(("waveform", "frequency", "gain"), [("sine", 1.0, 2.0), ("triangle", 5.0, 0.98)])
+def test_noise_lowers_the_bandwidth_as_far_as_the_reference_permits(waveform, frequency, gain):
+    axis, silent = (noisy(waveform, frequency, noise) for noise in (2e-8, 0.0))
+    request, period = LearningRequest("inversion", possible=NEAR), round(200.0 / frequency)
+    found, highest = (design_learning(one, request) for one in (axis, silent))
+    assert highest.filters.highest == 0.0 and found.filters.highest in (0.0, highest.filters.bandwidth)
+    assert left(axis, highest.parameters, period) > gain * left(axis, found.parameters, period)
+    lines = "\n".join(learning_lines(found))
+    assert ("noise would add more" in lines) == (found.filters.bandwidth < highest.filters.bandwidth)
+
+
+@pytest.mark.parametrize("reference", [{"waveform.type": "hold"}, {"waveform.frequency": 0.7}])
+def test_a_reference_that_rests_or_has_another_period_predicts_nothing(reference):
+    configuration = load_configuration("picma_stage").override("plant_simulator", sensor__noise=2e-8)
+    waveform = {"waveform.type": "sine", "waveform.frequency": 1.0, "waveform.amplitude": 8e-6, **reference}
+    axis = single_axis(configuration.override("reference_generator", **waveform, initial_setpoint=2e-5))
+    assert expected_error(axis, NEAR, closed_loop(axis.motion_controller, NEAR), 200) is None
 
 
 def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_command():

@@ -79,20 +79,26 @@ def _reach(situation: Situation, configuration: Configuration) -> tuple[float, f
 
 def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
     """Return the scan [m]: the ramp to its low end, the triangles, and the ramp back to rest."""
+    begin, size = _scanned(situation, configuration)
     low, high = _reach(situation, configuration)
-    size, rate = scan_stroke(situation), situation.rate
-    if size > high - low:
-        raise CommissioningError(
-            f"a scan of {readable(size, 'm')} was requested, but the stage reaches {readable(high - low, 'm')}; lower "
-            "scan_stroke in /commissioning"
-        )
-    begin = 0.5 * (low + high - size)
-    period = scan_period(situation)
+    period, rate = scan_period(situation), situation.rate
     phase = np.arange(1, (unjudged + JUDGED_PERIODS) * period + 1) / period
     triangle = begin + size * 2.0 * np.abs(phase - np.round(phase))
     rest = _resting_reference(low, high)
     parts = [hold(rest, STEP_HOLD, rate), way(rest, begin, STEP_HOLD, rate), hold(begin, STEP_HOLD, rate), triangle]
     return np.concatenate([*parts, way(begin, rest, STEP_HOLD, rate), hold(rest, STEP_HOLD, rate)])
+
+
+def _scanned(situation: Situation, configuration: Configuration) -> tuple[float, float]:
+    """Return the low end and the size of the scan [m]."""
+    low, high = _reach(situation, configuration)
+    size = scan_stroke(situation)
+    if size > high - low:
+        raise CommissioningError(
+            f"a scan of {readable(size, 'm')} was requested, but the stage reaches {readable(high - low, 'm')}; lower "
+            "scan_stroke in /commissioning"
+        )
+    return 0.5 * (low + high - size), size
 
 
 def _resting_reference(low: float, high: float) -> float:
@@ -418,11 +424,14 @@ def learn_axis(situation: Situation) -> AxisParameters | Outcome:
     # a correction from an earlier attempt belongs to another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
-        request = LearningRequest(
-            FILTER_DESIGN, period=scan_period(situation) / situation.rate, possible=CLOSE_TO_MODEL
-        )
+        period = scan_period(situation) / situation.rate
+        request = LearningRequest(FILTER_DESIGN, period, possible=CLOSE_TO_MODEL)
         known = measured_plant(situation) or response_uncertainty(configuration)
-        result = design_learning(single_axis(configuration, namespace), request, known)
+        begin, size = _scanned(situation, configuration)
+        wave = {"type": "triangle", "frequency": 1.0 / period, "amplitude": size, "offset": 0.0, "cycles": 0}
+        scan = {f"waveform.{name}": value for name, value in wave.items()}
+        scanning = configuration.override("reference_generator", initial_setpoint=begin, **scan)
+        result = design_learning(single_axis(scanning, namespace), request, known)
         text = learning_file(configuration, result, namespace)
     except HysteresisError as error:
         return Outcome([f"no learning: {' '.join(str(error).split())}"])

@@ -110,6 +110,7 @@ class Known:
     """Data of an axis that a design may use: a configuration whose plant consists of the axis' two models."""
 
     configuration: Configuration  #: One axis.
+    noise: float = 0.0  #: Noise of the sensor [m rms], by its data sheet.
 
     @property
     def axis(self) -> AxisParameters:
@@ -126,15 +127,16 @@ class Known:
         if not candidate.learning:
             return single_axis(found)
         request = LearningRequest(candidate.learning, 1.0 / task.frequency)
-        learned = design_learning(single_axis(found), request).parameters.to_mapping()
+        noisy = found.override("plant_simulator", sensor__noise=self.noise)
+        learned = design_learning(single_axis(noisy), request).parameters.to_mapping()
         return single_axis(found.override("motion_controller", **{f"learning.{k}": v for k, v in learned.items()}))
 
 
-def known(configuration: Configuration, bits: int) -> Known:
+def known(configuration: Configuration, bits: int, noise: float = 0.0) -> Known:
     """Return the data of an axis that a design may use; they do not depend on the plant."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
-    return Known(parse_configuration(text, configuration.source))
+    return Known(parse_configuration(text, configuration.source), noise)
 
 
 @dataclass(frozen=True)

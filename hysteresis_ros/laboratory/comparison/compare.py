@@ -238,7 +238,8 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
     """Return the trial on random plants close to the configured plant."""
     plants = drawn_around(configuration, conditions)
     low, high = reachable(plants, configuration.source)
-    given, tasks = known(configuration, conditions.bits), make_tasks(conditions, (low, high))
+    given = known(configuration, conditions.bits, conditions.noise)
+    tasks = make_tasks(conditions, (low, high))
     return Trial(given, conditions, tasks, high - low, tuple(plants))
 
 

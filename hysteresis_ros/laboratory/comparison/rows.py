@@ -370,7 +370,7 @@ def identified(recording: Recording, bench: Bench) -> Known:
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
     configuration = configuration.override("hysteresis_compensator", **limits)
     # a jump to the first reference would reach the slew rate, and is no part of a task
-    return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits)
+    return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits, bench.noise)
 
 
 def conditions_bench(conditions: Conditions) -> Bench:
