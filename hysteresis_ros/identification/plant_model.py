@@ -291,8 +291,9 @@ def chain_of(
     if zero is None:
         return chain
     # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
-    moved = hysteresis.shifted((offset - zero.value) / gain)
-    return chain if moved is hysteresis else replace(chain, hysteresis=moved, offset=zero.value)
+    value = zero.significant
+    moved = hysteresis.shifted((offset - value) / gain)
+    return chain if moved is hysteresis else replace(chain, hysteresis=moved, offset=value)
 
 
 #: Half of a 95 % interval, in standard deviations.

@@ -42,6 +42,8 @@ FEWEST_MOVING = 8
 CLEARLY = 0.5
 #: Number of samples for the comparison of the two beginnings, and of samples for the model to come to rest before.
 FIRST, BEFORE = 200, 4000
+#: Number of standard deviations by which a zero differs from that of the sensor.
+SIGNIFICANT = 3.0
 #: Readings farther from the line than this many standard deviations of the bulk are outliers.
 OUTLYING = 4.0
 
@@ -71,6 +73,14 @@ class SensorZero:
 
     value: float  #: [m]
     deviation: float  #: Standard deviation from the noise of the readings [m]; NaN for a single one.
+
+    @property
+    def significant(self) -> float:
+        """The value, or 0 if it does not differ from 0 by more than three standard deviations.
+
+        Most sensors are set to zero at rest. The noise of a few readings would displace the axis against the sensor.
+        """
+        return 0.0 if abs(self.value) <= SIGNIFICANT * self.deviation else self.value
 
 
 def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:

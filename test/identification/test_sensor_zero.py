@@ -9,6 +9,8 @@
 
 """The zero of the sensor from the beginning of a recording, with a model whose gain is 10 % wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,17 @@ def test_a_short_rest_is_not_read_from_one_sample(samples, steepness, lag):
     assert np.sqrt(np.mean(errors**2)) < 0.5 * NOISE
     # the stated deviation is that of the estimates
     assert 0.6 < np.sqrt(np.mean(errors**2)) / np.mean([zero.deviation for zero in found]) < 1.5
+
+
+def test_a_zero_within_the_noise_of_its_readings_is_that_of_the_sensor():
+    voltage = np.append(np.zeros(9), 100.0 * np.abs((T * np.arange(1000) + 0.5) % 1.0 - 0.5))
+    taken = []
+    for zero in (0.0, ZERO):
+        data = recorded(voltage)
+        found = sensor_zero(replace(data, output=data.output - ZERO + zero), stage(1.1e-7))
+        assert found.value == pytest.approx(zero, abs=4.0 * found.deviation) and found.value != 0.0
+        taken.append(found.significant)
+    assert taken[0] == 0.0 and taken[1] == found.value
 
 
 def test_a_recording_that_steps_from_rest_shows_its_zero():
