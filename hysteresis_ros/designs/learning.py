@@ -22,7 +22,7 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning import SAME, LearningParameters, period_samples
 from hysteresis_ros.control.linearisation import TINY
 from hysteresis_ros.control.margins import plant_state_space
-from hysteresis_ros.control.uncertainty import ResponseUncertainty, Uncertainty, drawn_plants
+from hysteresis_ros.control.uncertainty import UNKNOWN, ResponseUncertainty, Uncertainty, drawn_plants
 from hysteresis_ros.designs.controller import OPTIONS, learning_text
 from hysteresis_ros.designs.learning_filters import KINDS, Filters, Response, contraction, design_filters
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
@@ -53,6 +53,8 @@ MOST = 2**13
 SETTLED = 0.02
 #: Number of samples before an impulse, after which flags and counters have their steady values.
 BEFORE = 4
+#: Relative uncertainty of the response above which nothing is learned: contraction would be slow at best.
+LEARNABLE = 0.5
 #: Number of directions (phases) in which a relative uncertainty of the response is tried.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
@@ -186,6 +188,7 @@ def closed_loop(
         others, centre = [other * ratio for other in others], own * ratio
     elif response is not None:
         unknown = response.at(angles / (2.0 * np.pi * sample_time))
+        unknown = np.where(unknown > LEARNABLE, UNKNOWN, unknown)
         others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
     pushed = centre * (1.0 + own * disturbed) / (1.0 - disturbed * (centre - own))
     model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))

@@ -22,7 +22,7 @@ from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import close
-from hysteresis_ros.control.uncertainty import drawn_plants
+from hysteresis_ros.control.uncertainty import ResponseUncertainty, drawn_plants
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
 from hysteresis_ros.designs.learning import (
     POSSIBLE,
@@ -126,6 +126,15 @@ def test_noise_lowers_the_bandwidth_as_far_as_the_reference_permits(waveform, fr
     assert left(axis, highest.parameters, period) > gain * left(axis, found.parameters, period)
     lines = "\n".join(learning_lines(found))
     assert ("noise would add more" in lines) == (found.filters.bandwidth < highest.filters.bandwidth)
+
+
+def test_nothing_is_learned_where_the_response_is_known_to_less_than_half():
+    """A plant with the opposite sign there is not excluded: what repeats would grow with any correction."""
+    axis = noisy("triangle", 5.0, 0.0)
+    for size, reached in ((0.4, (60.0, 100.0)), (0.8, (20.0, 42.0))):
+        known = ResponseUncertainty(np.array([1.0, 39.9, 40.1, 100.0]), np.array([0.05, 0.05, size, size]), np.inf)
+        found = design_learning(axis, LearningRequest("inversion", possible=NEAR), known)
+        assert reached[0] < found.filters.bandwidth / found.sample_time < reached[1], size
 
 
 @pytest.mark.parametrize("reference", [{"waveform.type": "hold"}, {"waveform.frequency": 0.7}])

@@ -26,8 +26,8 @@ from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_p
 from hysteresis_ros.control.law import UNFED
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import Margins, Requirements
-from hysteresis_ros.control.uncertainty import LARGEST, Uncertainty
-from hysteresis_ros.designs.controller import DesignRequest, design_axis
+from hysteresis_ros.control.uncertainty import LARGEST, ResponseUncertainty, Uncertainty
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, response_uncertainty
 from hysteresis_ros.designs.damping import DAMPED
 from hysteresis_ros.designs.gains import believed_axis, robustness, tune
 from hysteresis_ros.designs.learning import LearningRequest, design_learning
@@ -111,6 +111,8 @@ class Known:
 
     configuration: Configuration  #: One axis.
     noise: float = 0.0  #: Noise of the sensor [m rms], by its data sheet.
+    #: Uncertainty of the identified response, which learning respects as ``hysteresis design`` does; None: not known.
+    response: ResponseUncertainty | None = field(default=None, compare=False)
 
     @property
     def axis(self) -> AxisParameters:
@@ -128,7 +130,7 @@ class Known:
             return single_axis(found)
         request = LearningRequest(candidate.learning, 1.0 / task.frequency)
         noisy = found.override("plant_simulator", sensor__noise=self.noise)
-        learned = design_learning(single_axis(noisy), request).parameters.to_mapping()
+        learned = design_learning(single_axis(noisy), request, self.response).parameters.to_mapping()
         return single_axis(found.override("motion_controller", **{f"learning.{k}": v for k, v in learned.items()}))
 
 
@@ -136,7 +138,7 @@ def known(configuration: Configuration, bits: int, noise: float = 0.0) -> Known:
     """Return the data of an axis that a design may use; they do not depend on the plant."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
-    return Known(parse_configuration(text, configuration.source), noise)
+    return Known(parse_configuration(text, configuration.source), noise, response_uncertainty(configuration))
 
 
 @dataclass(frozen=True)
