@@ -29,12 +29,13 @@ from hysteresis_ros.control.uncertainty import (
     integral_controller,
 )
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.data import IdentificationData, clipped_samples
 from hysteresis_ros.identification.dynamics import DAMPING_RANGE, SegmentSpectra, segment_spectra
 from hysteresis_ros.identification.frequency_response import PROBABILITY, Analysis
 from hysteresis_ros.identification.matrix_fraction import MatrixFractionFit, identify_matrix_fraction
 from hysteresis_ros.identification.plant_model import PlantModel, group_delay
 from hysteresis_ros.identification.prediction import before_dynamics
+from hysteresis_ros.identification.preprocessing import notable_outliers
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import shown_unit
 
@@ -150,6 +151,15 @@ class ResponseCheck:
                 f"crossover of about {self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
+
+
+def sound_data(data: IdentificationData, predicted: np.ndarray, skip: int) -> IdentificationData:
+    """Return the data with the prediction in place of clipped samples of the output and of outliers."""
+    wrong = clipped_samples(data.output, data.input)
+    good = notable_outliers(data.output - predicted, skip)
+    if good is not None:
+        wrong = wrong | ~good
+    return replace(data, output=np.where(wrong, predicted, data.output)) if wrong.any() else data
 
 
 def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -> ResponseCheck | None:

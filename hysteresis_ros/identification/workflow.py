@@ -46,7 +46,7 @@ from hysteresis_ros.identification.recording_summary import (
     refuse_falling,
     trial_error,
 )
-from hysteresis_ros.identification.response_check import ResponseCheck, check_response
+from hysteresis_ros.identification.response_check import ResponseCheck, check_response, sound_data
 from hysteresis_ros.identification.safe_motion import largest_change
 from hysteresis_ros.identification.sensor_zero import zero_warnings
 from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
@@ -478,7 +478,7 @@ def _finished(
         )
     if fast is not None:
         result = _with_fast(result, fast)
-    judged_on = fast or Fast(_unclipped(data, predicted + drift), skip)
+    judged_on = fast or Fast(sound_data(data, predicted + drift, skip), skip)
     checked = check_response(result.chain, judged_on.data, judged_on.skip)
     notes += checked.warnings if checked else ()
     if not result.converged:
@@ -614,12 +614,6 @@ def as_sensed(data: IdentificationData, predicted: np.ndarray) -> np.ndarray:
 
 def _extremes(values: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
-
-
-def _unclipped(data: IdentificationData, predicted: np.ndarray) -> IdentificationData:
-    """Return the data with the prediction in place of clipped samples of the output."""
-    clipped = clipped_samples(data.output, data.input)
-    return replace(data, output=np.where(clipped, predicted, data.output)) if clipped.any() else data
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:

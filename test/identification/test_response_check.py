@@ -32,7 +32,7 @@ from hysteresis_ros.control.uncertainty import (
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
-from hysteresis_ros.identification.response_check import check_response, measured_plant
+from hysteresis_ros.identification.response_check import check_response, measured_plant, sound_data
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
@@ -80,6 +80,18 @@ def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     assert "dynamics above" in half.warnings[0] and "are unknown" in half.warnings[0]
     # there is no content in this band: designs are limited with a message, but nothing contradicts the model
     assert half.fit_for_feedback and half.certain < 0.5 * half.believed
+
+
+def test_outliers_cost_samples_and_not_the_response():
+    slow = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(8000) * STEP)
+    clean, exact = (recording(MODE, slow + 0.02 * multisine(8000), noise) for noise in (2e-9, 0.0))
+    output, random = clean.output.copy(), np.random.default_rng(2)
+    output[random.integers(0, 8000, 20)] += 1e-6 * random.choice([-1.0, 1.0], 20)
+    spoilt = replace(clean, output=output)
+    sound = sound_data(spoilt, exact.output, 0)
+    assert np.max(np.abs(sound.output - clean.output)) < 20e-9 and sound_data(clean, exact.output, 0) is clean
+    known = [check_response(chain(MODE), one).uncertainty.known_to for one in (clean, sound, spoilt)]
+    assert known[1] > 0.9 * known[0] > 500.0 > 2.0 * known[2]
 
 
 def test_a_resonance_that_the_model_lacks_rings_and_is_named():
