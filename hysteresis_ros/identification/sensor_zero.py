@@ -34,8 +34,9 @@ from hysteresis_ros.units import readable
 AT_ZERO = 0.002
 #: This number of samples at 0 V suffices without the movement after them.
 ENOUGH = 30
-#: Largest movement that counts, and movement that still counts as rest, as fractions of the stroke.
-SMALL_MOVEMENT, AT_REST = 0.05, 1e-4
+#: Largest movements that count, the second where the first has too few readings, and movement that still counts as
+#: rest, as fractions of the stroke. A hysteresis makes the line curved.
+SMALL_MOVEMENTS, AT_REST = (0.01, 0.05), 1e-4
 #: Readings that move must be at least this many for a straight line.
 FEWEST_MOVING = 8
 #: The model from rest at 0 V explains the first readings if its error is below this fraction of the other's.
@@ -88,25 +89,28 @@ def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:
     span = float(np.ptp(data.input))
     away = np.flatnonzero(np.abs(data.input) > AT_ZERO * span)
     standing = int(away[0]) if away.size else len(data)
-    if standing >= ENOUGH or (standing and (chain.initial == "periodic" or not chain.invertible)):
-        return _at_rest(data.output[:standing])
     if not chain.invertible or chain.initial == "periodic":
-        return None
+        return _at_rest(data.output[:standing], np.zeros(standing)) if standing else None
     first = slice(0, min(len(data), max(FIRST, 4 * standing)))
     model = chain.simulate(data.input[first])
     if not standing and not _began_at_zero(data, chain, model):
         return None
-    moved = model - model[0]
-    stroke = float(np.ptp(data.output))
-    large = np.flatnonzero(np.abs(moved) > SMALL_MOVEMENT * stroke)
-    used = slice(0, int(large[0]) if large.size else len(moved))
-    differences = (data.output[first] - moved)[used]
-    found = _without_movement(moved[used], differences, AT_REST * stroke)
-    if found is None or not standing or len(differences) < FEWEST_MOVING:
-        return found
+    moved, stroke = model - model[0], float(np.ptp(data.output))
+    differences = data.output[first] - moved
+    rested = _at_rest(differences[:standing], moved[:standing]) if standing else None
+    if standing >= ENOUGH:
+        return rested
+    for size in SMALL_MOVEMENTS:
+        large = np.flatnonzero(np.abs(moved) > size * stroke)
+        used = slice(0, int(large[0]) if large.size else len(moved))
+        if np.count_nonzero(np.abs(moved[used]) > AT_REST * stroke) >= FEWEST_MOVING:
+            break
+    found = _without_movement(moved[used], differences[used], AT_REST * stroke)
+    if found is None or rested is None or len(differences[used]) < FEWEST_MOVING:
+        return rested or found
     # white noise of variance s² has second differences of variance 6 s²
-    noise = float(np.std(np.diff(differences, 2))) / np.sqrt(6.0 * standing)
-    rested = SensorZero(float(np.median(data.output[:standing])), noise)
+    noise = float(np.std(np.diff(differences[used], 2))) / np.sqrt(6.0 * standing)
+    rested = SensorZero(rested.value, float(np.hypot(noise, _unsure(moved[:standing]))))
     return found if found.deviation < rested.deviation else rested
 
 
@@ -119,17 +123,22 @@ def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
     return errors[0] < CLEARLY * errors[1]
 
 
-def _at_rest(readings) -> SensorZero:
-    """Return the median of readings [m] at rest."""
+def _at_rest(readings, moved) -> SensorZero:
+    """Return the median of readings [m] at rest, without the movement by voltages that count as 0 V."""
     deviation = np.std(readings, ddof=1) / np.sqrt(len(readings)) if len(readings) > 1 else np.nan
-    return SensorZero(float(np.median(readings)), float(deviation))
+    return SensorZero(float(np.median(readings)), float(np.hypot(deviation, _unsure(moved))))
+
+
+def _unsure(moved) -> float:
+    """Return the standard deviation of a small movement of a model: half of it."""
+    return 0.5 * abs(float(np.median(moved)))
 
 
 def _without_movement(moved, differences, still: float) -> SensorZero | None:
     """Return the reading without movement, from readings minus the model's movement ``moved``, all in metres."""
     resting = np.abs(moved) <= still
     if np.count_nonzero(~resting) < FEWEST_MOVING:
-        return _at_rest(differences[resting]) if resting.any() else None
+        return _at_rest(differences[resting], moved[resting]) if resting.any() else None
     table = np.column_stack([np.ones(len(moved)), moved])
     used = np.ones(len(moved), dtype=bool)
     for _ in range(3):
