@@ -35,6 +35,7 @@ import numpy as np
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear_algebra import product
+from hysteresis_ros.units import readable
 
 #: Names of the axes; then name and SI unit of the position and of each derivative.
 AXES = ("x", "y", "z")
@@ -577,17 +578,19 @@ def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
         beyond = {value: excess for value, excess in ends.items() if excess > ROUNDING * size}
         if not beyond:
             continue
-        lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
-        upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
+        lower = f"≥ {readable(low[axis], 'm')}" if math.isfinite(low[axis]) else ""
+        upper = f"≤ {readable(high[axis], 'm')}" if math.isfinite(high[axis]) else ""
         allowed = " and ".join(filter(None, (lower, upper)))
         value, excess = max(beyond.items(), key=lambda one: one[1])
         if size > room:
             remedy = f"make the scan at most {rounded_down(room / size, 3):.3g} times as large"
         else:
-            remedy = "make the scan smaller, or move its centre"
+            moved = excess if value == lowest[axis] else -excess
+            remedy = f"move its centre by {readable(moved, 'm')}, or make it smaller"
         other = ", and the other end too" if len(beyond) > 1 else ""
-        text = f"the path with its turns exceeds the range by {excess:.4g} m{other}, allowed: {allowed}; {remedy}"
-        yield Problem(f"position of {AXES[axis]}", value, text, "m")
+        by = f"{readable(excess, 'm')}{other}"
+        text = f"the path with its turns exceeds the range by {by}, allowed: {allowed}; {remedy}"
+        yield Problem(f"position of {AXES[axis]}", float(f"{1e6 * value:.4g}"), text, "µm")
 
 
 def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:

@@ -128,7 +128,7 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
         (("width=20um",), "belongs to a scan: choose a scan, for instance --scan raster; --params-file FILE"),
         (
             ("--scan", "raster", "width=90um", "depth=10um"),
-            ", and the other end too, allowed: ≥ -2e-05 m and ≤ 2e-05 m",
+            ", and the other end too, allowed: ≥ -20 µm and ≤ 20 µm",
         ),
         (("--reference", "raster"), "give --scan raster NAME=VALUE"),
         (
@@ -259,7 +259,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--scan", "raster", "width=50um", "depth=10um"), "exceeds the range by 8.906e-06 m"),
+        (("--scan", "raster", "width=50um", "depth=10um"), "exceeds the range by 8.906 µm"),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),

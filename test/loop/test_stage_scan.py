@@ -100,7 +100,7 @@ def test_the_text_of_a_run_gives_the_scan_back():
     [
         (
             ("width=50um", "depth=10um", "line_rate=5Hz"),
-            r"position of x = -2\.8\S*e-05 m: the path .* exceeds the range by",
+            r"position of x = -28\S* µm: the path .* exceeds the range by",
         ),
         (("width=20um", "depth=10um", "lines=4", "line_rate=400Hz"), "velocity of x .* is 1.* times its limit 0.0154"),
         (("width=20um", "depth=10um", "lines=4", "line_rate=150Hz"), "acceleration of x .* times its limit 21.6"),

@@ -215,18 +215,21 @@ def test_the_range_names_axis_excess_and_what_is_allowed():
     check_limits(scan, ScanLimits(low=(0.0, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(
         ParameterError,
-        match="position of x = 3.7.* m: the path with its turns exceeds the range by 6.25e-06 m, allowed: ≥ 1e-05",
+        match="position of x = 3.75 µm: .* by 6.25 µm, allowed: ≥ 10 µm and ≤ 106 µm; move its centre by 6.25 µm",
     ):
-        check_limits(scan, ScanLimits(low=(1e-5, 0.0), high=(100e-6, 100e-6)))
+        check_limits(scan, ScanLimits(low=(1e-5, 0.0), high=(106e-6, 100e-6)))
+    middle = 0.5 * (scan.extent()[0][0] + scan.extent()[1][0])
+    shifted = made("raster", rotation=0.0, centre_x=middle + 6.25e-6)
+    check_limits(shifted, ScanLimits(low=(1e-5, 0.0), high=(106e-6, 100e-6)))
     with pytest.raises(ParameterError, match="position of y") as refused:
         check_limits(scan, ScanLimits(high=(100e-6, 65e-6)))
-    assert len(refused.value.problems) == 1 and "exceeds the range by 5e-06 m" in str(refused.value)
+    assert len(refused.value.problems) == 1 and "by 5 µm, allowed: ≤ 65 µm; move its centre by -5 µm" in str(
+        refused.value
+    )
     # both ends in one line, with a factor that fits
     low, high = scan.extent()
     limits = ScanLimits(low=(low[0] + 5e-6, 0.0), high=(high[0] - 2e-6, 100e-6))
-    with pytest.raises(
-        ParameterError, match="range by 5e-06 m, and the other end too, allowed: ≥ .* and ≤ "
-    ) as refused:
+    with pytest.raises(ParameterError, match="range by 5 µm, and the other end too, allowed: ≥ .* and ≤ ") as refused:
         check_limits(scan, limits)
     assert len(refused.value.problems) == 1
     factor = float(re.search(r"make the scan at most (\S+) times as large", str(refused.value))[1])
