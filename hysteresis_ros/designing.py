@@ -40,7 +40,7 @@ from hysteresis_ros.designs.frequency_response import (
     recorded_response,
     response_run,
 )
-from hysteresis_ros.designs.learning import LearningRequest, learning_file, learning_lines
+from hysteresis_ros.designs.learning import LearningRequest, learning_file, learning_lines, with_known_noise
 from hysteresis_ros.designs.learning import design_learning as design_correction
 from hysteresis_ros.designs.learning_filters import KINDS
 from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
@@ -210,7 +210,7 @@ def design_learning(
     configuration = _written(configuration_of(config), namespace)
     axis = single_axis(configuration, namespace)
     request = LearningRequest(learning, period, bandwidth, maximum)
-    found = design_correction(axis, request, response_uncertainty(configuration))
+    found = design_correction(with_known_noise(axis, configuration), request, response_uncertainty(configuration))
     text = learning_file(configuration, found, normalised_namespace(axis.namespace))
     return DesignedLearning(tuple(learning_lines(found)), text, found.parameters)
 

@@ -121,7 +121,7 @@ def design(config, namespace, output, response, runs, scan, values, **options):
         drawn_around,
         response_uncertainty,
     )
-    from hysteresis_ros.designs.learning import asked, design_learning, learning_file, learning_lines
+    from hysteresis_ros.designs.learning import asked, design_learning, learning_file, learning_lines, with_known_noise
     from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
     from hysteresis_ros.designs.setpoint_step import step_lines
     from hysteresis_ros.errors import ConfigurationError
@@ -156,7 +156,7 @@ def design(config, namespace, output, response, runs, scan, values, **options):
     learns = asked(options)
     if learns is not None:
         with shown("designing"):
-            learned = design_learning(axis, learns, known)
+            learned = design_learning(with_known_noise(axis, configuration), learns, known)
         write_file(output, learning_file(configuration, learned, normalised_namespace(axis.namespace)))
         for line in learning_lines(learned):
             click.echo(line)

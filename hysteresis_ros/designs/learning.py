@@ -26,6 +26,7 @@ from hysteresis_ros.control.uncertainty import UNKNOWN, ResponseUncertainty, Unc
 from hysteresis_ros.designs.controller import OPTIONS, learning_text
 from hysteresis_ros.designs.learning_filters import KINDS, Filters, Response, contraction, design_filters
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
+from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.controller import ControllerPart, answer
@@ -252,6 +253,15 @@ def design_learning(
         shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
     )
     return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
+
+
+def with_known_noise(axis: AxisParameters, configuration: Configuration) -> AxisParameters:
+    """Return an axis whose sensor has the noise that an identification has found, if the sensor's is not given."""
+    found = next((values for name, values in configuration.entries if name == SECTION), {}).get("metrics.noise_rms_m")
+    plant = axis.plant_simulator
+    if plant.sensor.noise or not isinstance(found, float) or not 0.0 < found < np.inf:
+        return axis
+    return replace(axis, plant_simulator=replace(plant, sensor=replace(plant.sensor, noise=found)))
 
 
 def expected_error(

@@ -186,6 +186,12 @@ class RecordingSummary:
         return "\n".join(f"{label:<{width}}  {text}" for label, text in self.lines)
 
 
+def white_noise(values) -> float:
+    """Return the standard deviation of white noise, from the median of second differences, which ignores outliers."""
+    # white noise of variance s² has second differences of variance 6 s²
+    return float(np.median(np.abs(np.diff(values, 2)))) / 0.6745 / np.sqrt(6.0)
+
+
 def summarise(data: IdentificationData, report: DataReport | None = None) -> RecordingSummary:
     """Return the summary of checked data."""
     u, y, step = data.input, data.output, data.sample_time
@@ -200,7 +206,7 @@ def summarise(data: IdentificationData, report: DataReport | None = None) -> Rec
     width = 100.0 * (loop_opening(u[:last], y[:last]) or 0.0) / data.stroke
     moved = data.output_unit
     stamps = f"; stamps off by up to {readable(report.jitter, 's')}" if report.jitter > UNEVEN * step else ""
-    noise = float(np.median(np.abs(np.diff(y, 2)))) / 0.6745 / np.sqrt(6.0)
+    noise = white_noise(y)
     lines = [
         ("recording", f"{data.source or 'arrays'}: {len(data)} samples every {readable(step, 's')}, "
                       f"{readable(len(data) * step, 's')}{stamps}"),

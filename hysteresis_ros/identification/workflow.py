@@ -45,6 +45,7 @@ from hysteresis_ros.identification.recording_summary import (
     refuse,
     refuse_falling,
     trial_error,
+    white_noise,
 )
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response, sound_data
 from hysteresis_ros.identification.safe_motion import largest_change
@@ -464,6 +465,7 @@ def _finished(
     fitted = result.fitted
     shown = as_sensed(data, predicted + drift) - drift
     found, back, figures, judged = judge(result.chain, still, shown, skip=skip, free_offset=free, fitted=fitted)
+    figures = {**figures, "noise_rms_m": white_noise(data.output - predicted - drift) * np.sqrt(data.factor)}
     notes = [*read, *result.warnings, *model_warnings(result), *judged, *modes_at_bounds(result.chain.linear_part)]
     if result.skipped and "predicted_rmse_m" in result.numbers:
         omitted, expected = (still.output - predicted)[: result.skipped], result.numbers["predicted_rmse_m"]

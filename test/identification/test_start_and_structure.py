@@ -144,6 +144,7 @@ def test_a_sensor_that_read_zero_at_rest_keeps_its_zero(model, history):
     found = identify(data(loops(100.0), y - y[0]), model, linear="lag")
     assert abs(found.plant.offset) < 0.01e-6 and found.figures["sensor_zero_m"] == found.plant.offset
     assert found.figures["rmse_m"] < 0.1e-6
+    assert found.figures["noise_rms_m"] == pytest.approx(2e-9, rel=0.1)
 
 
 def test_a_drive_that_does_not_repeat_is_not_taken_as_periodic():

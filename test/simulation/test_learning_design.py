@@ -32,7 +32,9 @@ from hysteresis_ros.designs.learning import (
     expected_error,
     learning_file,
     learning_lines,
+    with_known_noise,
 )
+from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import single_axis
@@ -135,6 +137,15 @@ def test_nothing_is_learned_where_the_response_is_known_to_less_than_half():
         known = ResponseUncertainty(np.array([1.0, 39.9, 40.1, 100.0]), np.array([0.05, 0.05, size, size]), np.inf)
         found = design_learning(axis, LearningRequest("inversion", possible=NEAR), known)
         assert reached[0] < found.filters.bandwidth / found.sample_time < reached[1], size
+
+
+def test_the_noise_that_an_identification_found_counts_unless_the_sensor_has_its_own():
+    configuration = load_configuration("picma_stage")
+    found = replace(configuration, entries=((SECTION, {"metrics.noise_rms_m": 2e-8}), *configuration.entries))
+    for own, expected in ((0.0, 2e-8), (5e-9, 5e-9)):
+        axis = single_axis(found.override("plant_simulator", sensor__noise=own))
+        assert with_known_noise(axis, found).plant_simulator.sensor.noise == expected
+    assert with_known_noise(axis, configuration) is axis
 
 
 @pytest.mark.parametrize("reference", [{"waveform.type": "hold"}, {"waveform.frequency": 0.7}])
