@@ -45,6 +45,8 @@ MAXIMUM, SHORTFALL = 0.1, 5e-3
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
 #: Number of periods after which the error of a bandwidth is predicted, and numbers of periods without learning for it.
 LEARNED, RUNS = 20, (6, 24, 96)
+#: Largest number of samples of all these runs but the first.
+LONGEST_RUN = 1_000_000
 #: Least and largest number of samples of an impulse response, and the largest fraction of it that may remain at the
 #: end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
@@ -318,6 +320,8 @@ def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray
     silent = replace(plant, sensor=replace(plant.sensor, noise=0.0, resolution=0.0))
     made = Axis(replace(axis, plant_simulator=silent, motion_controller=replace(node, learning=LearningParameters())))
     for periods in RUNS:  # the axis first approaches its reference
+        if periods > RUNS[0] and periods * period > LONGEST_RUN:
+            break
         run = made.run(made.default_setpoints(periods * period))
         reference, measured = (run[name][-2 * period :].reshape(2, period) for name in ("reference", "measured"))
         error = reference[1] - measured[1]
