@@ -59,6 +59,8 @@ POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
 #: Number of frequencies of the grid on a linear and on a logarithmic scale, and around each resonance.
 GRID, AROUND = 120, 41
+#: One of so many frequencies of the grid is in the first test of a filter.
+FEW = 6
 #: Smallest damping ratio of any mode of the inner loop. Less is allowed if the ratio is at least the second number
 #: times that of the plant's mode.
 WELL, MUCH = 0.02, 5.0
@@ -120,6 +122,14 @@ def design_damping(
     return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
 
 
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of the unit circle, and the response of each plant there, of shape (N, outputs)."""
+
+    z: np.ndarray
+    responses: list[np.ndarray]
+
+
 class _Search:
     """Responses of the plants on a grid of frequencies, and the search for a filter on them."""
 
@@ -130,8 +140,9 @@ class _Search:
         self.aimed = SENSITIVITY / REQUIRED.sensitivity_peak * peak
         self.kind, self.dynamics, self.sample_time = KINDS[kind], dynamics, sample_time
         self.plants = plants
-        self.z = np.exp(1j * _angles(plants))
-        self.responses = [one.plant.response(self.z)[:, :, 0] for one in plants]
+        z = np.exp(1j * _angles(plants))
+        self.all = _Points(z, [one.plant.response(z)[:, :, 0] for one in plants])
+        self.few = _Points(z[::FEW], [P[::FEW] for P in self.all.responses])
 
     def damping(self, point) -> DampingParameters:
         """Return the parameters of a point."""
@@ -149,42 +160,51 @@ class _Search:
         if not loop.direct > 0.0:
             return 0.0
         found = loop.around(self.plants[0].plant)
-        if np.max(np.abs(found.poles)) >= 1.0 - BOUNDARY:
+        poles = found.poles
+        if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
             return 0.0
-        # most filters are much slower than the best one, which rounded poles tell too: exact ones take much longer
-        rough, _, _ = self._fastest(loop, slowest_poles(found, found.poles.tolist()))
-        if not rough * CLEARLY > least:
+        # most filters are much slower than the best one, which few frequencies and rounded poles tell too: all
+        # frequencies and exact poles take much longer
+        outer, Ki = self._outer(slowest_poles(found, poles.tolist()))
+        for largest in (self._bound, self._gain):
+            if not largest(loop, outer) * Ki * CLEARLY > least:
+                return 0.0
+        outer, Ki = self._outer(slowest_poles(found))
+        gain = self._gain(loop, outer)
+        if not gain * Ki > least or not self._holds(loop, outer.scaled(gain), late):
             return 0.0
-        fastest, outer, gain = self._fastest(loop, slowest_poles(found))
-        if not fastest > least or not self._holds(loop, outer.scaled(gain), late):
-            return 0.0
-        return fastest
+        return gain * Ki
 
-    def _fastest(self, loop: InnerLoop, zeros) -> tuple[float, StateSpace, float]:
-        """Return the integral gain of the fastest PID with these zeros [1/s], the PID of unit gain, and its gain."""
+    def _outer(self, zeros) -> tuple[StateSpace, float]:
+        """Return the PID of unit gain with these zeros, and its integral gain [1/s]."""
         cut_off = FILTER * 2.0 * np.pi / self.sample_time
         Kp, Ki, Kd = pid_with_zeros(zeros, 1.0, self.sample_time, cut_off)
-        outer = pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off), self.sample_time)
-        gain = self._gain(loop, outer.response(self.z)[:, 0, 0])
-        return gain * Ki, outer, gain
+        return pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off), self.sample_time), Ki
 
-    def _gain(self, loop: InnerLoop, outer) -> float:
+    def _loops(self, loop: InnerLoop, outer: StateSpace, points: _Points):
+        """Return for each plant 1 + L of the inner loop, and the open loop of the law."""
+        filtered = loop.feedback.response(points.z)[:, 0, 0]
+        forward = outer.response(points.z)[:, 0, 0] * (filtered if loop.source == COMMAND else loop.forward)
+        back = 0.0 if loop.source == COMMAND else filtered
+        return [(1.0 - back * (P * loop.seen[0]).sum(axis=1), forward * P[:, 0]) for P in points.responses]
+
+    def _bound(self, loop: InnerLoop, outer: StateSpace) -> float:
+        """Return a gain that is at least the one of :meth:`_gain`: it is the largest at few frequencies."""
+        loops = self._loops(loop, outer, self.few)
+        if max(float(np.max(1.0 / np.abs(left))) for left, _ in loops) > self.peak:
+            return 0.0
+        return min(_largest(way / left, self.aimed, np.inf) for left, way in loops)
+
+    def _gain(self, loop: InnerLoop, outer: StateSpace) -> float:
         """Return the largest gain of an outer controller on all plants; smaller if the combined loop would exceed M_s.
 
         If the M_s of the inner loop is too large, no gain of the outer controller helps.
         """
-        filtered = loop.feedback.response(self.z)[:, 0, 0]
-        forward = outer * (filtered if loop.source == COMMAND else loop.forward)
-        back = 0.0 if loop.source == COMMAND else filtered
-        inner = [1.0 - back * (P * loop.seen[0]).sum(axis=1) for P in self.responses]
-        if max(float(np.max(1.0 / np.abs(left))) for left in inner) > self.peak:
+        loops = self._loops(loop, outer, self.all)
+        if max(float(np.max(1.0 / np.abs(left))) for left, _ in loops) > self.peak:
             return 0.0
-        displaced = [P[:, 0] for P in self.responses]
-        gain = min(_largest(forward * P / left, self.aimed) for P, left in zip(displaced, inner, strict=True))
-        whole = max(
-            float(np.max(1.0 / np.minimum(np.abs(left + gain * forward * P), np.abs(left))))
-            for P, left in zip(displaced, inner, strict=True)
-        )
+        gain = min(_largest(way / left, self.aimed) for left, way in loops)
+        whole = max(float(np.max(1.0 / np.minimum(np.abs(left + gain * way), np.abs(left)))) for left, way in loops)
         return gain * min(1.0, (self.aimed / whole) ** 2)
 
     def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
@@ -235,13 +255,13 @@ class _Search:
         return best, at
 
 
-def _largest(X, peak: float) -> float:
-    """Return the largest g up to which |1 + g X| ≥ 1/peak at all points."""
+def _largest(X, peak: float, unlimited: float = 0.0) -> float:
+    """Return the largest g up to which |1 + g X| ≥ 1/peak at all points, or ``unlimited`` where every g is."""
     square, room = np.abs(X) ** 2, 1.0 - 1.0 / peak**2
     inside = X.real**2 - room * square
     hit = (X.real < 0.0) & (inside > 0.0)
     if not np.any(hit):
-        return 0.0
+        return unlimited
     return float(np.min((-X.real[hit] - np.sqrt(inside[hit])) / square[hit]))
 
 
