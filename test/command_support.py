@@ -20,6 +20,15 @@ from hysteresis_ros.cli.main import main
 
 
 def hysteresis(*words, code: int = 0) -> str:
+    """Run a command in this process, which takes 0.3 s less than one of its own; return what it prints."""
+    result = run(*words)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def hysteresis_process(*words, code: int = 0) -> str:
     """Run a command in its own process; return what it prints."""
     answer = subprocess.run(
         [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True

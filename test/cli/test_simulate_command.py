@@ -11,7 +11,7 @@
 
 import numpy as np
 import pytest
-from command_support import hysteresis
+from command_support import hysteresis, hysteresis_process
 
 from hysteresis_ros.recordings import COLUMNS, load_run
 
@@ -19,7 +19,7 @@ from hysteresis_ros.recordings import COLUMNS, load_run
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "run.npz"
-    assert "600 samples at 3000 Hz" in hysteresis("simulate", "kim2009", "-o", path, "--duration", 0.2)
+    assert "600 samples at 3000 Hz" in hysteresis_process("simulate", "kim2009", "-o", path, "--duration", 0.2)
     return path
 
 

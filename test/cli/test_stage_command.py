@@ -19,7 +19,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
-from command_support import hysteresis
+from command_support import hysteresis, hysteresis_process
 
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
@@ -39,7 +39,7 @@ def run():
 
 def test_a_stage_is_simulated_judged_and_written(tmp_path, run):
     path = tmp_path / "run.npz"
-    said = hysteresis("simulate", "xy_scanner", "-o", path, "--duration", 0.2)
+    said = hysteresis_process("simulate", "xy_scanner", "-o", path, "--duration", 0.2)
     assert "2000 samples at 10000 Hz (0.2 s), axes x, y" in said
     assert "x: RMS error" in said
     assert "y: RMS error" in said
@@ -79,7 +79,7 @@ def test_the_setpoints_of_a_run_of_a_stage_are_replayed(tmp_path):
     ],
 )
 def test_commands_of_a_single_axis_refuse_a_stage(words, tmp_path):
-    said = hysteresis(*words, code=2)
+    said = hysteresis_process(*words, code=2)
     assert "describes a stage of coupled axes" in said
     assert "Traceback" not in said
 
