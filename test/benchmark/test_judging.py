@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
@@ -161,9 +162,7 @@ def test_the_interval_holds_the_true_error(memory):
     hits = 0
     for seed in range(200):
         random = np.random.default_rng(seed)
-        error = random.standard_normal(4000)
-        for k in range(1, len(error)):
-            error[k] += memory * error[k - 1]
+        error = scipy.signal.lfilter([1.0], [1.0, -memory], random.standard_normal(4000))
         low, high = interval(error[200:])
         hits += low <= np.sqrt(1.0 / (1.0 - memory**2)) <= high
     assert 176 <= hits <= 198

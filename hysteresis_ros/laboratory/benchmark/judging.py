@@ -137,11 +137,11 @@ def interval(error: np.ndarray) -> tuple[float, float]:
     block = int(np.clip(math.ceil(2.0 * scale), 1, max(count // 10, 1)))
     random = np.random.default_rng(SEED)
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([squares, squares[:block]]))])
+    of_blocks = sums[block:][:count] - sums[:count]
     blocks = math.ceil(count / block)
     means = np.empty(RESAMPLINGS)
     for number in range(RESAMPLINGS):
-        begins = random.integers(0, count, blocks)
-        means[number] = np.sum(sums[begins + block] - sums[begins]) / (blocks * block)
+        means[number] = np.sum(of_blocks[random.integers(0, count, blocks)]) / (blocks * block)
     return tuple(float(np.sqrt(value)) for value in np.quantile(means, ENDS))  # type: ignore[return-value]
 
 
