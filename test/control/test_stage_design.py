@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, sta
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.learning import LearningParameters, write_learned
+from hysteresis_ros.designs import controller as designing
 from hysteresis_ros.designs.controller import DesignRequest, design_lines
 from hysteresis_ros.designs.coupled import (
     calm_bandwidth,
@@ -37,6 +39,14 @@ from hysteresis_ros.designs.stage_stability import require_stable
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters, StageScanParameters
 from hysteresis_ros.loop.stage_response import scanned_paths, stage_loop, stage_response
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_gains():
+    """Compute each gain once: it depends on the model of the axis, not on what the axis follows."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(designing, "design_gains", functools.cache(designing.design_gains))
+        yield
 
 
 def zeros(model) -> np.ndarray:
