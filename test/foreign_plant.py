@@ -16,12 +16,15 @@ than a sample; the measurement of a sample is taken before its voltage acts. ``f
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 try:
-    from numba import njit as fast
+    from numba import njit
+
+    fast = functools.partial(njit, cache=True)
 except ImportError:  # slower, otherwise the same
 
     def fast(function):
