@@ -28,6 +28,7 @@ from nodes_support import SOON_AT_REST, Observer, axis_parameters, compose, diag
 from std_msgs.msg import Float64, String  # noqa: E402
 
 from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
+from hysteresis_ros.nodes import plant_runners, realtime  # noqa: E402
 from hysteresis_ros.nodes.plant_runners import (  # noqa: E402
     ANSWERS,
     LONGEST_SETTLING,
@@ -207,12 +208,19 @@ def test_lateness_from_the_very_beginning_is_noticed(inside):
     until(lambda: plant.part.tripped, what="the trip")
 
 
+@pytest.fixture
+def started_soon(monkeypatch):
+    """Tolerate longer silence of new partners for 0.5 s only: they are in this process."""
+    for module in (realtime, plant_runners):
+        monkeypatch.setattr(module, "STARTING", 0.5)
+
+
 @pytest.mark.parametrize("pause", [0.03, 0.07])
-def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
+def test_a_short_halt_of_the_process_is_no_lost_partner(started_soon, late_axis, pause):
     """A garbage collection in a large process takes this long: messages wait in queues, and no partner is lost."""
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=-1)
     settled(plant)
-    more(plant, 300)  # longer than the time in which new partners are tolerated
+    more(plant, 80)  # 0.8 s, longer than the time in which new partners are tolerated
     for _ in range(6):
         ctypes.PyDLL(None).usleep(int(1e6 * pause))  # it holds the lock of the interpreter
         more(plant, 20)
@@ -220,11 +228,11 @@ def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
     settled(plant)
 
 
-def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observer):
+def test_who_leaves_comes_back_or_is_reset_is_not_called_late(started_soon, late_axis, observer):
     # a busy machine may be late sometimes; the exit must not add late voltages
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=100)
     settled(plant)
-    more(plant, 300)  # longer than the time in which new partners are tolerated
+    more(plant, 80)  # 0.8 s, longer than the time in which new partners are tolerated
     for name in NODES[1:]:
         assert observer.transition(f"/{name}", "deactivate")
         more(plant, 30)
