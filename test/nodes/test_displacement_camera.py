@@ -87,7 +87,8 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
     assert shown(scene.frame(3.0e-6, 1)) == pytest.approx(3.0e-6, abs=0.05e-6)
     assert shown(scene.frame(3.0e-6, 9)) == pytest.approx(3.0e-6, abs=0.05e-6)
     # stamps a second apart, at 25 frames a second
-    until(lambda: (diagnostics(reports, "/displacement_camera") or [0, ""])[1] == "24 frames lost", what="the loss")
+    node.tell_health()  # it does so each second
+    until(lambda: any(report.status[0].message == "24 frames lost" for report in reports), what="the loss")
     assert diagnostics(reports, "/displacement_camera")[2]["lost_frames"] == "24"
     assert list(joints[-1].name) == ["stack"]
     until(lambda: states)
@@ -99,11 +100,13 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
         (empty[:40], "mono8", "frame refused: the frame has 128 x 40 px, the first one had 128 x 48"),
     ):
         assert math.isnan(shown(frame, encoding))
+        node.tell_health()
         until(lambda words=words: (diagnostics(reports, "/displacement_camera") or [0, ""])[1].startswith(words))
         assert diagnostics(reports, "/displacement_camera")[0] == 2
     for _ in range(6):
         last = shown(empty)
     assert math.isnan(last)
+    node.tell_health()
     until(lambda: "frozen: 6 frames" in diagnostics(reports, "/displacement_camera")[1])
     assert shown(scene.frame(1.0e-6, 3)) == pytest.approx(1.0e-6, abs=0.05e-6)
     until(lambda: "no image on /image for" in diagnostics(reports, "/displacement_camera")[1], what="the silence")
