@@ -157,11 +157,12 @@ def judge_worst(
     )
 
 
-def slowed(dynamics: LinearParameters, slowness: float) -> dict:
+def slowed(dynamics: LinearParameters, slowness: float, *, aliased: bool = False) -> dict:
     """Return the parameters that change when all times of dynamics grow by a factor: poles z^(1/slowness), and delay.
 
     The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too. The
-    result has ``A`` and ``B`` as lists if there are matrices, and ``delay`` if there is one.
+    result has ``A`` and ``B`` as lists if there are matrices, and ``delay`` if there is one. With ``aliased``, modes
+    above a quarter of the sample rate f_s are those of f_s - f in the plant, which move the other way.
     """
     delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
     model = dynamics.matrices
@@ -170,7 +171,10 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     A, B = model.A, model.B[:, 0]
     poles, vectors = np.linalg.eig(A.astype(complex))
     continuous = (poles.imag != 0.0) | (poles.real > 0.0)
-    moved = np.where(continuous, np.exp(np.log(np.where(continuous, poles, 1.0)) / slowness), poles)
+    exponents = np.log(np.where(continuous, poles, 1.0))
+    if aliased:
+        exponents = exponents - 2j * np.pi * np.sign(exponents.imag) * (np.abs(exponents.imag) > 0.5 * np.pi)
+    moved = np.where(continuous, np.exp(exponents / slowness), poles)
     exact = np.real(vectors @ np.diag(moved) @ np.linalg.inv(vectors))
     # rounded: the last digits of logarithms and eigenvectors differ between processors
     changed = rounded(exact)
@@ -229,6 +233,34 @@ def drawn_plants(
                 acting=acting,
             )
         )
+    return tuple(found)
+
+
+#: Number of times at which plants with aliased modes are computed: their resonances are narrow.
+ALIASED = 11
+
+
+def aliased_plants(
+    dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty
+) -> tuple[PossiblePlant, ...]:
+    """Return plants within the range of times whose modes above a quarter of the sample rate are aliases.
+
+    Empty without such modes. A response at samples does not show whether a mode is at f or at f_s - f, and a small
+    deviation of the latter is a large one of the former. Units: ``sample_time`` [s].
+    """
+    model = dynamics.matrices
+    poles = np.linalg.eigvals(model.A) if model.order else np.zeros(0)
+    if not np.any((poles.real < 0.0) & (poles.imag != 0.0)):
+        return ()
+    found = []
+    for slowness in np.linspace(1.0 - uncertainty.resonance, 1.0 + uncertainty.resonance, ALIASED):
+        changed = slowed(dynamics, float(slowness), aliased=True)
+        scale = dynamics.resolved_input_scale
+        delay = changed.get("delay", dynamics.delay)
+        A, B = (tuple(changed[name]) for name in ("A", "B"))
+        other = replace(dynamics, A=A, B=B, delay=delay, sample_time=sample_time, input_scale=scale)
+        text = f"times {100.0 * (slowness - 1.0):+.3g} %, aliased modes"
+        found.append(PossiblePlant(plant_state_space(other), 0.0, text))
     return tuple(found)
 
 

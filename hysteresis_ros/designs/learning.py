@@ -22,7 +22,13 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning import SAME, LearningParameters, period_samples
 from hysteresis_ros.control.linearisation import TINY
 from hysteresis_ros.control.margins import plant_state_space
-from hysteresis_ros.control.uncertainty import UNKNOWN, ResponseUncertainty, Uncertainty, drawn_plants
+from hysteresis_ros.control.uncertainty import (
+    UNKNOWN,
+    ResponseUncertainty,
+    Uncertainty,
+    aliased_plants,
+    drawn_plants,
+)
 from hysteresis_ros.designs.controller import OPTIONS, learning_text
 from hysteresis_ros.designs.learning_filters import KINDS, Filters, Response, contraction, design_filters
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
@@ -184,7 +190,8 @@ def closed_loop(
     z = np.exp(1j * np.maximum(angles, 1e-7))
     asked, disturbed = (np.fft.rfft(u)[::every] for u in answers)
     own = model.response(z)[:, 0, 0]
-    others = [one.plant.response(z)[:, 0, 0] for one in drawn_plants(dynamics, sample_time, possible)]
+    plants = (*drawn_plants(dynamics, sample_time, possible), *aliased_plants(dynamics, sample_time, possible))
+    others = [one.plant.response(z)[:, 0, 0] for one in plants]
     centre = own
     if isinstance(response, MeasuredPlant):
         ratio = response.at(angles / (2.0 * np.pi * sample_time))

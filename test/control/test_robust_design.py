@@ -17,9 +17,11 @@ import pytest
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.margins import judge
 from hysteresis_ros.control.uncertainty import (
+    ALIASED,
     CORNERS,
     PossiblePlant,
     Uncertainty,
+    aliased_plants,
     drawn_plants,
     judge_worst,
     possible_plant,
@@ -79,6 +81,26 @@ def test_corners_are_at_the_ends_and_draws_within_and_equal_for_equal_seeds():
     assert [one.description for one in again] == [one.description for one in plants]
     assert all(np.array_equal(one.plant.A, other.plant.A) for one, other in zip(plants, again, strict=True))
     assert others[-1].description not in {one.description for one in plants}
+
+
+def test_a_mode_that_may_be_an_alias_moves_as_the_true_one():
+    """A mode at 670 Hz, sampled at 1 kHz, is found at 330 Hz; where it moves by 5 %, that one moves by 10 %."""
+
+    def mode(frequency):
+        angular = 2.0 * np.pi * frequency
+        A, B = zero_order_hold([[0.0, 1.0], [-(angular**2), -0.04 * angular]], [[0.0], [angular**2]], T)
+        return LinearParameters(A=tuple(A.ravel()), B=tuple(B[:, 0]), C=(1.0, 0.0), input_scale=1.0, sample_time=T)
+
+    def poles(A):
+        found = np.linalg.eigvals(np.reshape(A, (-1, int(np.sqrt(np.size(A))))))
+        return np.sort_complex(found[np.abs(found) > 1e-9])  # one of the plant is its sample of delay
+
+    given = Uncertainty(resonance=0.05)
+    plants = aliased_plants(mode(670.0), T, given)
+    assert len(plants) == ALIASED and all(one.plant.dc_gain == pytest.approx(1.0) for one in plants)
+    for one, slowness in zip(plants, np.linspace(0.95, 1.05, ALIASED), strict=True):
+        np.testing.assert_allclose(poles(one.plant.A), poles(mode(670.0 / slowness).A), rtol=1e-9)
+    assert aliased_plants(mode(240.0), T, given) == () == aliased_plants(LAG, 0.005, given)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import close
-from hysteresis_ros.control.uncertainty import ResponseUncertainty, drawn_plants
+from hysteresis_ros.control.uncertainty import ALIASED, ResponseUncertainty, drawn_plants
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
 from hysteresis_ros.designs.learning import (
     POSSIBLE,
@@ -38,6 +38,7 @@ from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.linear import LinearParameters
 
 NEAR = replace(POSSIBLE, draws=2)
 
@@ -70,6 +71,21 @@ def test_a_damping_by_force_is_part_of_the_closed_loop():
     z = np.exp(1j * np.linspace(0.0, np.pi, len(found))[1::97])
     exact = close(*linear_loop(part(node, ControllerParameters), 1.0 / node.sample_rate)).response(z)[:, 0, 0]
     np.testing.assert_allclose(found[1::97], exact, rtol=1e-4, atol=1e-7)
+
+
+def test_a_mode_that_may_be_an_alias_belongs_to_the_possible_plants():
+    node = single_axis(stage(type="open_loop")).motion_controller
+    radius, angle = 0.95, 2.0 * np.pi * 67.0 / 200.0
+    A = (2.0 * radius * np.cos(angle), -(radius**2), 1.0, 0.0)
+    found = {}
+    for own in (A, (0.8, 0.0, 1.0, 0.0)):
+        dynamics = LinearParameters(A=own, B=(1.0, 0.0), C=(0.1, 0.0), sample_time=1.0 / 200.0, output_scale=1e-6)
+        found[own] = closed_loop(replace(node, model=replace(node.model, dynamics=dynamics)), NEAR).possible
+    with_mode, without = found.values()
+    assert len(with_mode) == len(without) + ALIASED
+    # 8 % of 133 Hz is 10.7 Hz: the peaks of these plants lie around 67 Hz, and the others' within 5.4 Hz
+    peaks = 100.0 * np.argmax(np.abs(with_mode), axis=1) / (with_mode.shape[1] - 1)
+    assert np.ptp(peaks[len(without) :]) > 19.0 > 12.0 > np.ptp(peaks[: len(without)])
 
 
 def test_a_static_feedforward_is_part_of_the_closed_loop():
