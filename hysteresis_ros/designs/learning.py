@@ -137,6 +137,8 @@ class LearningDesign:
     filters: Filters
     response: Response  #: The closed loop of the design.
     sample_time: float  #: [s]
+    #: Whether the noise of the sensor had no part in the bandwidth, because the reference is unknown.
+    unweighed: bool = False
 
     def rate(self, possible: np.ndarray) -> float:
         """Return the factor per period of the slowest part of the error, at the initial gain."""
@@ -261,7 +263,8 @@ def design_learning(
         late_recovery=min(knocked(loop), settling(loop)) / rate,
         shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
     )
-    return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
+    unweighed = bandwidth is None and error is None and axis.plant_simulator.sensor.noise > 0.0
+    return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate, unweighed)
 
 
 def with_known_noise(axis: AxisParameters, configuration: Configuration) -> AxisParameters:
@@ -372,6 +375,8 @@ def learning_lines(result: LearningDesign) -> list[str]:
     rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
     nominal = result.rate(result.response.model[np.newaxis])
     noisy = f"; up to {filters.highest * rate:.4g} Hz contract, but noise would add more" if filters.highest else ""
+    if result.unweighed:
+        noisy = f"; noise is not weighed, because the file has no waveform of {given.period:g} s (reference_generator)"
     rows = [
         ("learning", given.type),
         ("period", f"{given.period:g} s, {round(given.period * rate)} samples"),
