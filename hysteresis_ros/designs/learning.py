@@ -284,8 +284,8 @@ def expected_error(
     None if the sensor has no noise, or the reference of the axis does not repeat with the period: then nothing is
     lost with the highest bandwidth, or unknown. What repeats without learning is that of a run of the axis on its own
     plant; errors of the inverse's model, and those of a plant with another linear response, are added as the ranges
-    of the possible plants state them. Learning leaves (1 − Q)/(1 − Q + G T) of it, and adds the noise that it has
-    averaged.
+    of the possible plants state them. Learning converges to (1 − Q)/(1 − Q + G T) of it, and adds the noise that it
+    has averaged.
 
     Units: ``period`` [samples].
     """
@@ -309,13 +309,19 @@ def expected_error(
     assert loop.noise is not None
     passed = np.abs(loop.model * loop.noise) ** 2 * variance
 
+    gains = np.minimum(GAIN, AVERAGING / np.arange(1, LEARNED + 1))
+
     def expected(filters: Filters) -> float:
         low_pass, learning = filters.responses(lines)
-        left = np.abs(1.0 - low_pass) / np.maximum(np.abs(1.0 - low_pass + learning * closed), TINY)
+        learned = 1.0 - low_pass + learning * closed  # per period, for a gain of 1
+        remains = np.prod(1.0 - gains[:, np.newaxis] * learned, axis=0)
+        limit = (1.0 - low_pass) / np.where(np.abs(learned) > TINY, learned, TINY)
+        left = np.abs(limit + (1.0 - limit) * remains)
         low_pass, learning = filters.responses(grid)
-        # sum of the squares of γ_k ∏ (1 − γ_i s) over the periods k, with γ = n/j and the fraction s learned per period
-        forgotten = np.maximum(2.0 * AVERAGING * np.real(1.0 - low_pass + learning * loop.model) - 1.0, 1.0)
-        noise = np.mean(passed * np.abs(learning) ** 2 * AVERAGING**2 / (forgotten * LEARNED))
+        averaged, learned = np.zeros(len(grid)), 1.0 - low_pass + learning * loop.model
+        for gain in gains:
+            averaged = np.abs(1.0 - gain * learned) ** 2 * averaged + gain**2
+        noise = np.mean(passed * np.abs(learning) ** 2 * averaged)
         return float(np.sqrt(np.sum(power * left**2) + noise))
 
     return expected
