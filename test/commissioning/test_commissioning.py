@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from commissioning_support import RATE, STAGE, ForeignBench, Willing, sitting
 
+from hysteresis_ros.cli.commissioning import closed_loop
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound
 from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
@@ -50,7 +51,7 @@ def swing(bench, signals):
         signals["measured"] += 2e-6 * np.sin(0.8 * np.arange(signals["measured"].size))
 
 
-def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_they_said(tmp_path):
+def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_they_said(tmp_path, monkeypatch):
     situation, attendant, bench = sitting(tmp_path), Willing(), Counting(last=3)
     with pytest.raises(CommissioningError, match="hysteresis: unplugged"):
         commission(situation, bench, attendant)
@@ -65,9 +66,19 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert "100 V" in resumed.asked["hysteresis"] and "100 µm" in resumed.asked["hysteresis"]
     # the loose part is tightened
     bench.spoil, situation, resumed = None, sitting(tmp_path, resumed=True), Willing()
+    learned, design = [], closed_loop.design_learning
+    monkeypatch.setattr(closed_loop, "design_learning", lambda *given: learned.append(given[0]) or design(*given))
     assert commission(situation, bench, resumed)
     assert list(resumed.heard) == list(STAGES) and list(resumed.asked) == ["loop", "response", "scan", "learn"]
     assert len(bench.runs) == 10
+
+    # the bandwidth of the learning depends on the scan and on the noise
+    (axis,) = learned
+    scan = closed_loop.scan_reference(situation, closed_loop.designed(situation))
+    wave = axis.generator.waveform
+    assert wave.type == "triangle" and wave.frequency == 1.0 / (closed_loop.scan_period(situation) / RATE)
+    assert axis.generator.initial_setpoint + wave.amplitude == pytest.approx(np.max(scan))
+    assert axis.plant_simulator.sensor.noise == pytest.approx(3e-9, rel=0.1)
 
     figures = {name: outcome.figures for name, outcome in situation.found.items()}
     assert figures["noise"]["noise_rms_m"] == pytest.approx(3e-9, rel=0.1)

@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.margins import Requirements
+from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.laboratory.comparison import candidates, rows, tasks
 from hysteresis_ros.laboratory.comparison import rows as others
 from hysteresis_ros.laboratory.comparison.candidates import known
@@ -195,6 +197,24 @@ def test_references_on_a_foreign_plant_need_no_creep_of_the_model(monkeypatch):
     trial = trial_on_other(5, conditions)
     assert 9e-6 < trial.stroke <= 10e-6 * (1.0 + 1e-9)
     assert not trial.rows({("integral + static feedforward", "none")})[0].refused
+
+
+def test_learning_is_designed_for_the_noise_and_the_identified_uncertainty(monkeypatch):
+    taken = []
+
+    def designed(axis, request, response):
+        taken.append((axis.plant_simulator.sensor.noise, response))
+        return types.SimpleNamespace(parameters=LearningParameters())
+
+    monkeypatch.setattr(candidates, "design_learning", designed)
+    section = {"response.frequencies": [1.0, 50.0], "response.uncertainty": [0.1, 0.6]}
+    configuration = load_configuration("picma_stage")
+    configuration = dataclasses.replace(configuration, entries=((SECTION, section), *configuration.entries))
+    task = tasks.make_tasks(Conditions(), (0.0, 4e-5))[0]
+    axis = known(configuration, 16, 7e-9).designed(candidates.Candidate("", "none", learning="inversion"), task)
+    ((noise, response),) = taken
+    assert noise == 7e-9 and response.at([50.0])[0] == 0.6
+    assert axis.plant_simulator.sensor.noise == 0.0
 
 
 def test_a_loop_that_does_not_bear_the_mismatch_is_marked_before_it_runs(monkeypatch):

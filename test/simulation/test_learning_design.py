@@ -147,9 +147,9 @@ def test_noise_lowers_the_bandwidth_as_far_as_the_reference_permits(waveform, fr
 
 
 def test_nothing_is_learned_where_the_response_is_known_to_less_than_half():
-    """A plant with the opposite sign there is not excluded: what repeats would grow with any correction."""
+    """Contraction on all plants of an error of 60 % would be slow at best, and none is left for other changes."""
     axis = noisy("triangle", 5.0, 0.0)
-    for size, reached in ((0.4, (60.0, 100.0)), (0.8, (20.0, 42.0))):
+    for size, reached in ((0.4, (60.0, 100.0)), (0.6, (20.0, 42.0))):
         known = ResponseUncertainty(np.array([1.0, 39.9, 40.1, 100.0]), np.array([0.05, 0.05, size, size]), np.inf)
         found = design_learning(axis, LearningRequest("inversion", possible=NEAR), known)
         assert reached[0] < found.filters.bandwidth / found.sample_time < reached[1], size
