@@ -297,8 +297,8 @@ def expected_error(
     reference, error = found
     inverse = axis.hysteresis_compensator.inverse
     if inverse.type != "none":
-        open_ = replace(axis.hysteresis_compensator, inverse=replace(inverse, type="none"))
-        without = _repeated(replace(axis, hysteresis_compensator=open_), period)
+        plain = replace(axis.hysteresis_compensator, inverse=replace(inverse, type="none"))
+        without = _repeated(replace(axis, hysteresis_compensator=plain), period)
         error = np.hypot(np.abs(error), possible.hysteresis * np.abs(error if without is None else without[1]))
     grid, lines = np.linspace(0.0, np.pi, len(loop.model)), 2.0 * np.pi * np.arange(period // 2 + 1) / period
     off = np.interp(lines, grid, np.max(np.abs(loop.possible - loop.model), axis=0))
@@ -308,7 +308,6 @@ def expected_error(
     closed = np.interp(lines, grid, loop.model.real) + 1j * np.interp(lines, grid, loop.model.imag)
     assert loop.noise is not None
     passed = np.abs(loop.model * loop.noise) ** 2 * variance
-
     gains = np.minimum(GAIN, AVERAGING / np.arange(1, LEARNED + 1))
 
     def expected(filters: Filters) -> float:

@@ -91,7 +91,7 @@ def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:
     standing = int(away[0]) if away.size else len(data)
     if not chain.invertible or chain.initial == "periodic":
         return _at_rest(data.output[:standing], np.zeros(standing)) if standing else None
-    first = slice(0, min(len(data), max(FIRST, 4 * standing)))
+    first = slice(0, standing if standing >= ENOUGH else min(len(data), max(FIRST, 4 * standing)))
     model = chain.simulate(data.input[first])
     if not standing and not _began_at_zero(data, chain, model):
         return None
