@@ -44,10 +44,10 @@ from hysteresis_ros.designs.coupled import (
     response_uncertainties,
     with_designs,
 )
+from hysteresis_ros.designs.coupled_learning import FEWEST, CoupledLearning, Trial, trial
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage
 from hysteresis_ros.designs.stage_identification import IdentifiedStage, StageRequest, identify_stage
-from hysteresis_ros.designs.trials import FEWEST, CoupledLearning, Trial, trial
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.stage_data import StageReading, realisations
 from hysteresis_ros.laboratory.comparison.rows import Bench

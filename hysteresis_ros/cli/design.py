@@ -284,7 +284,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
 def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
     """Return the configuration whose file has the scan, for which controllers or learning are designed."""
     from hysteresis_ros.designs.coupled import with_written_scan
-    from hysteresis_ros.designs.trials import FEWEST
+    from hysteresis_ros.designs.coupled_learning import FEWEST
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.loop.stage_parameters import StageParameters
     from hysteresis_ros.loop.stage_response import check_scan
@@ -344,7 +344,7 @@ def _design_stage_feedforward(configuration, output: str | None, options: dict) 
 def _learn_together(configuration, request, runs, output: str) -> None:
     """Learn corrections for all axes of a stage from recorded runs; write them and the file that applies them."""
     from hysteresis_ros.control.learning import write_learned
-    from hysteresis_ros.designs.trials import coupled_learning_file, learned_from, trial_lines
+    from hysteresis_ros.designs.coupled_learning import coupled_learning_file, learned_from, trial_lines
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.recordings.files import load_run

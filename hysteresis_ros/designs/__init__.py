@@ -12,6 +12,6 @@
 Start with :mod:`.controller` (``hysteresis design``), which uses :mod:`.gains` and :mod:`.damping`. :mod:`.learning`
 with :mod:`.learning_filters` designs the learning for periodic references. :mod:`.frequency_response` measures an axis;
 :mod:`.measured` and :mod:`.setpoint_step` verify a design. Designs of a single control law are in the module of that
-law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and :mod:`.trials`, which
-learns from runs.
+law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and
+:mod:`.coupled_learning`, which learns from run to run.
 """

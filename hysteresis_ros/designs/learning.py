@@ -30,7 +30,15 @@ from hysteresis_ros.control.uncertainty import (
     drawn_plants,
 )
 from hysteresis_ros.designs.controller import OPTIONS, learning_text
-from hysteresis_ros.designs.learning_filters import KINDS, Filters, Response, contraction, design_filters
+from hysteresis_ros.designs.learning_filters import (
+    KINDS,
+    MARGIN,
+    UNSEEN,
+    Filters,
+    Response,
+    contraction,
+    design_filters,
+)
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
 from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.identification.safe_motion import with_safe_motion
@@ -382,13 +390,14 @@ def learning_lines(result: LearningDesign) -> list[str]:
     noisy = f"; up to {filters.highest * rate:.4g} Hz contract, but noise would add more" if filters.highest else ""
     if result.unweighed:
         noisy = f"; noise is not weighed, because the file has no waveform of {given.period:g} s (reference_generator)"
+    limited = f"|Q - G T| + {UNSEEN:g} |G|, at most {1.0 - MARGIN:g}"
     rows = [
         ("learning", given.type),
         ("period", f"{given.period:g} s, {round(given.period * rate)} samples"),
         ("bandwidth of learning", f"{filters.bandwidth * rate:.4g} Hz{noisy}"),
         ("taps", f"{len(filters.error)} of the error, {2 * len(filters.robustness) - 1} of Q"),
         ("looks ahead", f"{filters.lead} samples"),
-        ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz (|Q - G T|, at most 0.9)"),
+        ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz ({limited})"),
         ("on the model", f"{filters.nominal:.3f}"),
         ("plants", f"{len(result.response.possible)}: {_ranges(ranges)}"),
         ("error falls", f"to {worst:.3f} or less per period, with gain {given.gain:g}; {nominal:.3f} on the model"),

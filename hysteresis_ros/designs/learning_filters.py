@@ -11,8 +11,8 @@
 
 T is the closed loop from reference to measured displacement for the model, T_p the closed loop for another possible
 plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at
-which |Q − G T_p|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all
-plants; or, where noise and repeated error are known, the lower one that leaves least of both.
+which |Q − G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on
+all plants; or, where noise and repeated error are known, the lower one that leaves least of both. ε is :data:`UNSEEN`.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -84,7 +84,7 @@ class Filters:
     lead: int  #: Lead of the first tap [samples].
     robustness: np.ndarray  #: Taps of Q: the middle tap, then the taps on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
-    contraction: float  #: Largest |Q − G T_p| over all frequencies and plants.
+    contraction: float  #: Largest |Q − G T_p| + ε |G| over all frequencies and plants.
     nominal: float  #: The same for the model alone.
     worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
     #: Highest bandwidth that contracts, as a fraction of the sample rate, if a lower one leaves less error; else 0.
@@ -133,8 +133,8 @@ def design_filters(
     asked = "no bandwidth" if bandwidth is None else f"a bandwidth of {bandwidth * sample_rate:.4g} Hz does not"
     raise ConfigurationError(
         f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all possible "
-        f"plants: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, but at most "
-        f"{1.0 - MARGIN:g} is allowed; request a lower --bandwidth, narrow the ranges (--resonance-range, "
+        f"plants: |Q - G T| + {UNSEEN:g} |G| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, "
+        f"but at most {1.0 - MARGIN:g} is allowed; request a lower --bandwidth, narrow the ranges (--resonance-range, "
         "--gain-range), or use a controller that damps the resonance"
     )
 

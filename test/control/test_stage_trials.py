@@ -19,9 +19,9 @@ from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, sta
 
 from hysteresis_ros.control.learning import write_learned
 from hysteresis_ros.control.uncertainty import Uncertainty
-from hysteresis_ros.designs import trials as learn
+from hysteresis_ros.designs import coupled_learning as learn
+from hysteresis_ros.designs.coupled_learning import Belief, CoupledLearning, Loops, applied, possible_loops, trial
 from hysteresis_ros.designs.learning import LearningRequest
-from hysteresis_ros.designs.trials import Belief, CoupledLearning, Loops, applied, possible_loops, trial
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.loop.stage_response import scanned_paths, stage_response
 from hysteresis_ros.loop.stage_simulation import simulate_stage
