@@ -154,8 +154,8 @@ class Chart:
 def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
     """Return columns over common times, with two points for each block of samples so that extremes stay.
 
-    In each block a column has its lowest and its highest value, in their order; the two times are those of the block's
-    first and middle sample, so that a peak is drawn at most one block from its true time.
+    For each block, a column keeps its lowest and its highest value, in the order in which they occur. Their times are
+    set to those of the block's first and middle sample, so a peak is drawn at most one block from its true time.
 
     Units: ``time`` [s].
     """

@@ -35,7 +35,8 @@ NYQUIST = 2.5
 #: Colours of the responses of a stage, besides that of the measurement.
 _FITTED, _NOISE, _DISTORTION = "#d1495b", "#9a9a9a", "#e09f3e"
 _MICRO = 1e6
-#: Columns of a figure of responses; with more axes it shows the own actuator only.
+#: Largest number of columns of a figure of responses; for a stage with more axes it shows only the response of each
+#: axis to its own actuator.
 MOST_COLUMNS = 4
 #: Height of the plots of one output [inch].
 HEIGHT = 5.6

@@ -269,7 +269,8 @@ def _finite(values) -> np.ndarray:
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
 #: Least number of samples for a spectrum.
 LEAST_SAMPLES = 64
-#: Largest number of points of a spectrum; of more lines, the largest of each interval is drawn.
+#: Largest number of points of a spectrum. If it has more lines, only the largest in each of this many frequency
+#: intervals (at most) is drawn.
 SPECTRUM_POINTS = 1500
 #: Number of bars of a histogram.
 BARS = 60

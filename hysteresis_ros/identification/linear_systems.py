@@ -710,7 +710,9 @@ SMALLEST_RESPONSE = 0.1
 
 
 def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), of lag, delay and modes whose output is ``y``, smoothed no more than needed.
+    """Return the input, shape (N,), with which lag, delay and modes give the output ``y``.
+
+    ``y`` is smoothed only as much as the inversion needs.
 
     Units: ``y`` [m], ``sample_time`` [s].
     """
@@ -726,7 +728,9 @@ def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
 
 
 def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), of a lag and a delay whose output is ``y``, smoothed no more than needed.
+    """Return the input, shape (N,), with which a lag and a delay in series give the output ``y``.
+
+    ``y`` is smoothed only as much as its derivative needs.
 
     Units: ``lag`` [s], ``delay`` [s], ``sample_time`` [s].
     """

@@ -104,7 +104,9 @@ class PlayFit(ABC):
         return self.residual
 
     def slopes(self, part, shape, neighbours) -> np.ndarray:
-        """Return the differences of :meth:`solve` towards neighbouring pairs of part and shape, shape (N, k).
+        """Return the changes of the residual of :meth:`solve` from the last trial to k neighbours, shape (N, k).
+
+        Each neighbour is a pair (linear part, shape parameters).
 
         The weights follow (variable projection [1]_). For a change dΦ of the filtered columns Φ they need only dΦ w and
         dΦᵀ e with the weights w and the residual e. Each is the filter of one signal: of the sum of the columns, and of

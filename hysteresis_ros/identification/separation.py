@@ -178,7 +178,10 @@ class _PastTrials:
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
     def at_rest(self, first: int) -> bool:
-        """Whether rest at 0 V explains the samples before ``first`` about as well as the samples after it."""
+        """Whether a model that starts at rest at 0 V fits the samples before ``first``.
+
+        True if it fits them about as well as those from ``first`` on, or to within AT_REST of the stroke.
+        """
         error = self.error()
         return first == 0 or _trimmed(error[:first]) <= max(
             AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke

@@ -246,7 +246,8 @@ def _tuned(trial: Trial) -> PidParameters:
 
 #: Number of random plants around each plant, in addition to the plant itself and its corners.
 DRAWS = 3
-#: Factors of the deviation of a plant, and the :class:`ForeignParameters` that each factor multiplies.
+#: Indices of the factors by which a plant deviates; :func:`_deviated` applies them to :class:`ForeignParameters`. The
+#: factor at TIMES multiplies lag and delay, and divides the frequencies.
 GAIN, OPENING, TIMES, CREEP = range(4)
 
 
