@@ -10,8 +10,8 @@
 """ARX models by linear least squares (W1), with zeros kept inside the unit circle on request (W6).
 
 ``A(z) y = B(z) u + e`` with ``A = 1 + a_1 z⁻¹ + …`` and ``B = b_0 z⁻ᵈ + b_1 z⁻ᵈ⁻¹ + …``, d ≥ 1: the regression of y(t)
-on y(t-1) …, u(t-d) …. The estimate is biased when the output is noisy (the noise of the regressors pulls poles towards
-zero); compare its simulation, not its one-step prediction, with other data.
+on y(t-1) …, u(t-d) …. If the output is noisy, the estimate is biased (noise in the regressors pulls poles towards
+zero); therefore compare the simulation of the model with other data, not its one-step prediction.
 
 References
 ----------
@@ -31,7 +31,7 @@ from hysteresis_ros.identification.data import checked_signals, refuse_short
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
 from hysteresis_ros.identification.validation import parameter_covariance
 
-#: Largest condition number of the regressors for which the parameters count as determined.
+#: Condition number of the regressors up to which the parameters count as determined.
 RANK = 1e10
 
 
@@ -42,9 +42,9 @@ class ArxFit:
     denominator: np.ndarray  #: shape (n_a + 1,); 1, a_1 … a_na: coefficients of z⁰, z⁻¹ ….
     numerator: np.ndarray  #: shape (n_b,); b_0 …: coefficients of z⁻ᵈ, z⁻ᵈ⁻¹ … [output unit/input unit].
     delay: int  #: d [samples].
-    offset: float  #: Constant in the regression, in the output's unit; 0 when it was not fitted.
-    #: shape (n_a + n_b, n_a + n_b); Covariance of a_1 …, b_0 … for white residuals; for an active constraint, the
-    #: covariance of the unconstrained estimate.
+    offset: float  #: Constant in the regression, in the output's unit; 0 if it was not fitted.
+    #: shape (n_a + n_b, n_a + n_b); Covariance of a_1 …, b_0 … for white residuals; if the constraint on the zeros is
+    #: active, the covariance of the unconstrained estimate.
     covariance: np.ndarray
     residual_variance: float  #: Variance of the one-step prediction error, in the output's unit squared.
     samples: int  #: Number of rows of the regression.
@@ -89,7 +89,7 @@ class ArxOrders(NamedTuple):
 
     na: int = 2  #: na, nb: Numbers of coefficients a and b; nb ≥ 1.
     nb: int = 2
-    delay: int = 1  #: Delay of the input [samples], ≥ 1: a sample is measured before the input of the same sample acts.
+    delay: int = 1  #: Delay [samples], ≥ 1: an output is measured before the input of the same sample acts.
 
 
 def fit_arx(
@@ -150,7 +150,7 @@ def fit_arx(
 
 
 def _require_excitation(table) -> None:
-    """Refuse a regression that is too short or does not determine its parameters."""
+    """Refuse a regression that has too few rows or does not determine its parameters."""
     unknowns = table.shape[1]
     refuse_short(len(table), 3 * unknowns, f"an ARX model with {unknowns} parameters")
     condition = np.linalg.cond(table / np.linalg.norm(table, axis=0))
@@ -212,11 +212,12 @@ def _regression(u, y, orders: ArxOrders, offset: bool):
 
 
 def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
-    """Solve with all zeros of B within ``radius``.
+    """Solve the regression with all zeros of B within ``radius``.
 
-    With up to two zeros, the polynomials that have a positive first coefficient and all zeros within the radius form a
-    convex cone (with two zeros, the stability triangle). The polynomials at the corners of this region span the cone.
-    The problem is therefore linear least squares with weights ≥ 0, which is solved exactly for each sign of the gain.
+    With up to two zeros, the polynomials with a positive first coefficient and all zeros within the radius form a
+    convex cone (with two zeros, the stability triangle), which is spanned by the polynomials at the corners of this
+    region. The problem is therefore linear least squares with weights ≥ 0, which is solved exactly for each sign of the
+    gain.
     """
     na, nb, _ = orders
     spanned = {

@@ -12,10 +12,10 @@
 The static element follows paper B, section 3.2 (B3).
 
 The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the nodes,
-on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the output
-error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output error has
-local minima when the initial resonance is far off, so trial points around the initial values are first evaluated on a
-short part of the data, and the best few are refined.
+on a grid finer than the samples. Levenberg-Marquardt steps, with sensitivities by finite differences, lower the output
+error. The equations contain β, γ and δ only as the products βγ and βδ, so β keeps its initial value. The output error
+has local minima if the initial resonance is far off. Trial points around the initial values are therefore first
+evaluated on a short part of the data, and only the best few are refined.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ class BoucWenIdentification:
     """Result of :func:`identify_bouc_wen_static`."""
 
     parameters: BoucWenParameters  #: The model: the best point found, converged or not.
-    offset: float  #: Constant part of the displacement [m], 0 unless it was free.
+    offset: float  #: Constant part of the displacement [m]; 0 unless it was fitted.
     covariance: np.ndarray  #: shape (4, 4); Covariance of d_e, α, β and γ, for white residuals.
     rms: float  #: rms, maximum: Residual [m].
     maximum: float
-    search: SimplexSearch  #: Trajectories of the parameters, one run for each start.
-    converged: bool  #: The simplex converged.
+    search: SimplexSearch  #: Trajectories of the parameters, one for each start.
+    converged: bool  #: Whether the simplex converged.
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
     @property
@@ -78,7 +78,7 @@ class BoucWenIdentification:
 
 
 def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
-    """Return an initial guess from the ranges: α is d_e/4, and the memory decays over half the voltage range."""
+    """Return an initial guess from the ranges: α = d_e/4, and a memory that decays over half the voltage range."""
     slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
     d_e, alpha = 1.25 * slope, 0.3 * slope
     rate = 2.0 / float(np.ptp(voltage))
@@ -134,7 +134,7 @@ def identify_bouc_wen_static(
 
 
 class _Normalised:
-    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element for it."""
+    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element on it."""
 
     def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
         n, self.free_offset, self.first = exponent, free_offset, len(history)
@@ -156,7 +156,7 @@ class _Normalised:
 
     @property
     def offset(self) -> float:
-        """The constant offset of the last residual; 0 when it is not free."""
+        """The constant offset in the last residual; 0 if it is not free."""
         return -(float(np.mean(self.y[self.first :] - self.x)) if self.free_offset else 0.0)
 
     def cost(self, theta) -> float:
@@ -183,7 +183,7 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
 
 
 def _covariance(residual, theta, error, free_offset) -> np.ndarray:
-    """Return the Gauss-Newton covariance in normalised units; infinite for undetermined parameters."""
+    """Return the Gauss-Newton covariance in normalised units; entries of undetermined parameters are infinite."""
     columns = []
     for i in range(theta.size):
         step = np.zeros(theta.size)
@@ -195,7 +195,7 @@ def _covariance(residual, theta, error, free_offset) -> np.ndarray:
 
 
 def _in_units(search: SimplexSearch, units) -> SimplexSearch:
-    """Return the search with trajectories in SI units; costs stay normalised by the range of the displacement."""
+    """Return the search with trajectories in SI units; the costs remain relative to the displacement's range."""
     runs = tuple(replace(run, trajectory=run.trajectory * units) for run in search.runs)
     return replace(search, x=search.x * units, runs=runs)
 
@@ -203,22 +203,23 @@ def _in_units(search: SimplexSearch, units) -> SimplexSearch:
 #: Names of the fitted parameters, in the order of the vectors.
 OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
 KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # positions in the kernel, of all but the mass
-#: Number of grid points per sample, for the search and for the result. Between the samples the input is linear, and the
-#: kernel takes one Runge-Kutta step per grid point.
+#: Number of grid points per sample, during the search and for the result. Between the samples the input is linear, and
+#: the kernel takes one Runge-Kutta step per grid point.
 SEARCH_GRID = 4
 FINE_GRID = 16
-#: Number of trial points around the initial values, their spread (factors of 2^±SPREAD), and the largest number that is
-#: refined.
+#: Number of trial points around the initial values, their spread (factors of 2^±SPREAD), and largest number of trial
+#: points that are refined.
 TRIALS = 64
 SPREAD = 1.0
 FOLLOWED = 12
-#: Number of samples for the evaluation and refinement of trial points; the best one is then refined on all samples.
+#: Number of samples on which trial points are evaluated and refined; the best one is then refined on all samples.
 SHORT_PART = 6000
-#: Output errors are limited to this multiple of the stroke, because a diverging oscillation has no gradient.
+#: Output errors are limited to this multiple of the stroke, because the error of a diverging oscillation has no
+#: gradient.
 LARGEST_ERROR = 10.0
-#: Number of periods after which a periodic start has settled.
+#: Number of periods after which a simulation with periodic input counts as settled.
 SETTLING = 1
-#: Two starts agree if their residuals exceed the smallest by at most this factor; then the search ends.
+#: Starts agree if their residuals are at most this factor times the smallest; if two agree, the search ends …
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
 #: … provided that the residual is below this fraction of the stroke.
@@ -229,9 +230,9 @@ WELL_DONE = 0.05
 class BoucWenMechanicalFit:
     """Result of :func:`fit_bouc_wen_mechanical`."""
 
-    parameters: BoucWenMechanicalParameters  #: β as given, γ and δ from the products.
+    parameters: BoucWenMechanicalParameters  #: β as given; γ and δ calculated from the products.
     rmse: float  #: RMS output error [m].
-    #: Standard deviations, by the names of :data:`OSCILLATOR_FREE` (from the Jacobian and the residual).
+    #: Standard deviations from the Jacobian and the residual, by the names of :data:`OSCILLATOR_FREE`.
     deviations: dict[str, float]
     covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`OSCILLATOR_FREE`, in their units.
     agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all refined starts.
@@ -278,7 +279,7 @@ def _run(p, finer, grid, intersample, periodic):
         run(bouc_wen_mechanical, p, state, finer, output)
         return output[::grid]
     start = state[1]
-    run(bouc_wen_mechanical, p, state, finer, output)  # with a held input, the output at the end of each step counts
+    run(bouc_wen_mechanical, p, state, finer, output)  # with a held input, the output at the end of each step is used
     return np.append(start, output[grid - 1 :: grid][:-1])
 
 
@@ -367,7 +368,7 @@ class _OscillatorProblem:
         return np.clip(error - error.mean(), -LARGEST_ERROR, LARGEST_ERROR)
 
     def guesses(self, trials, seed):
-        """The initial values and the most promising trial points around them."""
+        """The initial values, and the best of the trial points around them."""
         random = np.random.default_rng(seed)
         points = 2.0 ** (SPREAD * random.uniform(-1.0, 1.0, (trials, len(OSCILLATOR_FREE))))
         costs = [np.mean(self.residual(point, SEARCH_GRID, SHORT_PART) ** 2) for point in points]

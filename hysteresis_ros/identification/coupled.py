@@ -10,18 +10,18 @@
 
 """Identification of coupled axes: several inputs and outputs, one model for all levels of the excitation.
 
-The steps, each based on the result of the previous one:
+The identification has three steps, each based on the result of the previous one:
 
-1. frequency response matrix of each level, with separate estimates of noise and nonlinear distortion
+1. the frequency response matrix of each level, with separate estimates of noise and nonlinear distortion
    (``frequency_response``);
-2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), order chosen by
-   the error of the simulation on held-out realisations;
-3. hysteresis inside the structure (``structure_fit``), by Gauss-Newton on the error of the simulation: first gains and
-   plays, then also the linear part, then C_z, then B_w and the radii. The search ends when the error on the held-out
-   realisations rises.
+2. the linear dynamics at the middle level: a subspace method, then refinement of the modes on the response
+   (``subspace``); the order is chosen by the error of the simulation on held-out realisations;
+3. the hysteresis inside the structure (``structure_fit``), by Gauss-Newton on the error of the simulation. The search
+   begins with gains and plays, then adds the linear part, then C_z, then B_w and the radii. It ends when the error on
+   the held-out realisations rises.
 
-C_z starts as Γ C Λ^τ, the motion of the actuators τ samples ahead, where Γ is the inverse of the static gain. Without
-this advance, the search ends far from the plant.
+C_z starts as Γ C Λ^τ, where Γ is the inverse of the static gain: this is the motion of the actuators τ samples ahead.
+Without this advance, the search ends far from the plant.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from hysteresis_ros.identification.structure_fit import LINEAR_GROUPS, Experimen
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
 from hysteresis_ros.models.structure import Structure, StructureParameters
 
-#: Realisations whose inputs have the same RMS value within this factor belong to one level.
+#: Realisations belong to one level if the RMS values of their inputs agree within this factor.
 SAME_LEVEL = 1.2
-#: Default orders, which are all tried.
+#: Default orders; all of them are tried.
 ORDERS = (4, 8, 12, 20, 28, 36, 44)
-#: An order suffices when its error on the held-out realisations is at most the smallest error times this factor.
+#: An order suffices if its error on the held-out realisations is at most this factor times the smallest error.
 ENOUGH = 1.02
-#: Fraction to which every mode must decay during the run-in; it is the remaining error of a simulation that starts from
+#: Factor by which every mode must decay during the run-in; this is the remaining error of a simulation that starts from
 #: rest.
 REMAINDER = np.exp(-5.0)
 #: Initial value of the advance τ of the motion that acts on the plays [samples].
@@ -58,8 +58,8 @@ ADVANCE = 1.1
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
 #: Initial weight of the plays.
 FIRST_WEIGHT = 1e-3
-#: Number of steps on the response, and of each early stage with plays. The early stages use two realisations of each
-#: level and half a period.
+#: Number of steps on the response, and number of steps of each early stage with plays. The early stages use two
+#: realisations of each level, and half a period.
 RESPONSE_STEPS = 30
 EARLY_STEPS, EARLY_REALISATIONS = 6, 2
 #: Number of consecutive steps without a smaller error on the held-out realisations, after which the search ends.
@@ -135,7 +135,7 @@ class StructureData:
         return replace(self, u=self.u[chosen], y=self.y[chosen])
 
     def averaged(self, run_in: int) -> Experiments:
-        """Return one period, averaged over all periods, preceded by a run-in that repeats its end."""
+        """Return one period, averaged over all periods, preceded by a run-in: a repetition of the end of the period."""
         R, _, m = self.u.shape
         u, y = (part.reshape(R, -1, self.period, part.shape[2]).mean(axis=1) for part in (self.u, self.y))
         before = np.tile(u, (1, -(-run_in // self.period), 1))[:, -run_in:] if run_in else u[:, :0]
@@ -327,7 +327,7 @@ class StructureEstimator:
         whole = data.averaged(run_in)
         deviation = np.empty(len(data.u))
         for chosen, found in zip(levels, responses, strict=True):
-            # without an estimate of the distortion, the errors of each level are relative to its outputs
+            # without an estimate of the distortion, the errors of each level are relative to the outputs at this level
             deviation[chosen] = found.level(found.total).mean() if found.total is not None else whole.y[chosen].std()
         if self.weighting == "absolute":
             deviation[:] = deviation.mean()
@@ -359,7 +359,7 @@ class StructureEstimator:
         return replace(result, figures=figures)
 
     def _checked(self) -> tuple[int, ...]:
-        """Return the orders to try, or refuse options that cannot be used."""
+        """Return the orders to try; refuse options that cannot be used."""
         orders = (self.order,) if isinstance(self.order, int) else tuple(self.order)
         for name, value, allowed, wrong in (
             ("order", self.order, "must be even numbers ≥ 2", not orders or any(n < 2 or n % 2 for n in orders)),
@@ -386,7 +386,7 @@ class StructureEstimator:
         """Return the linear dynamics of a level, in modal form."""
         response = found.response if self.band is None else found.response.band(*self.band)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
-        # between absolute and relative errors, so that resonances do not dominate the fit
+        # a compromise between absolute and relative errors, so that resonances do not dominate the fit
         weights = np.sqrt(size.mean() / size)
         models, errors = [], []
         for order in orders:

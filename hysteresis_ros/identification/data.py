@@ -9,8 +9,8 @@
 
 """Data of an identification: time, one input and one output in SI units, and the checks made before any fit.
 
-The checks report what makes data unusable (missing samples, non-uniform time, constants), what degrades the result
-(clipping, delay, drift), and which numbers suggest a wrong unit.
+The checks report what makes data unusable (missing samples, non-uniform time, constants), what makes the result worse
+(clipping, delay, drift), and numbers that suggest a wrong unit.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ GAINS = (1e-9, 2e-4)
 LONGEST_SAMPLE_TIME = 0.5
 SHORTEST_DURATION = 0.1
 LONGEST_CYCLE = 500.0
-#: Least number of samples per cycle that show the turning points of its loops.
+#: Smallest number of samples per cycle with which the turning points of the loops are visible.
 FEWEST_A_CYCLE = 20.0
 
 
@@ -83,7 +83,7 @@ def implausible_units(
 
 
 def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
-    """Yield a warning when turning points fall between the samples."""
+    """Yield a warning if turning points may fall between the samples."""
     if reversals < 2:
         return
     each = 2.0 * samples / reversals
@@ -98,14 +98,14 @@ def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
 
 #: Largest deviation of a sample from the uniform grid, in sample times.
 GRID_TOLERANCE = 0.1
-#: A range below this fraction of the mean level counts as constant.
+#: A signal whose range is below this fraction of its mean level counts as constant.
 CONSTANT = 1e-12
-#: Smallest number of consecutive equal samples at an extreme that may be clipping.
+#: Smallest number of consecutive equal samples at an extreme that can count as clipping.
 CLIPPED_RUN = 3
-#: Smallest ratio of the length of a clipped sequence to that of its neighbours; the top of a coarsely quantised sine
-#: has a ratio of 5.5.
+#: Smallest ratio of the length of a clipped run of equal samples to that of the neighbouring runs; the top of a
+#: coarsely quantised sine has a ratio of 5.5.
 CLIPPED_POPULATION = 8.0
-#: Drift over the whole data above which there is a warning, as a fraction of the stroke.
+#: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
 
 
@@ -163,7 +163,7 @@ class DataReport:
         return tuple(item.message for item in self.findings if item.severity == "note")
 
     def warned(self, texts) -> DataReport:
-        """Return the report with ``texts`` as earlier warnings before its findings."""
+        """Return the report with ``texts`` added as warnings before its findings."""
         return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
 
     def raise_errors(self) -> None:
@@ -236,7 +236,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
 
 
 def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -> DataReport:
-    """Add findings about the relation of the signals: reversals, implausible units, delay, drift."""
+    """Add findings about the relation of input and output: reversals, implausible units, delay, drift."""
     if any(item.check in ("constant", "short") for item in report.findings):
         return report
     found = list(report.findings)
@@ -262,7 +262,7 @@ def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -
 def check_uniform(time) -> tuple[float, float, list[Finding]]:
     """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
 
-    Rounded times count as uniform if all of them are within the rounding error of a uniform grid.
+    Rounded times count as uniform if all of them agree with a uniform grid within the rounding error.
     """
     if len(time) < 2:
         return float("nan"), 0.0, []
@@ -297,11 +297,11 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
 
 
 def _rounding(time):
-    """Return the decimal place [s] to which all times are rounded; 0 if they are not rounded."""
+    """Return the unit [s] to which all times are rounded (a power of ten); 0 if they are not rounded."""
     for digits in range(1, 7):
         scaled = time * 10.0**digits
         if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
-            # the rounding must be finer than the sample time, otherwise the times carry no information
+            # the rounding unit must be below the sample time, otherwise the times carry no information
             return 10.0**-digits if 10.0**-digits < np.median(np.diff(time)) else 0.0
     return 0.0
 
@@ -314,10 +314,10 @@ def clipped_share(values, driver=None) -> float:
 def clipped_samples(values, driver=None) -> np.ndarray:
     """Return which samples are at a clipped extreme, shape (N,) of bool.
 
-    A run of at least three equal samples at the extreme is clipped if it is many times longer than the runs just before
-    and after. With a ``driver`` (the input of this output), only runs during which the driver moves count, because an
-    output may be constant while its input is. Without a driver, a signal that dwells at many levels (steps) is not
-    clipped.
+    A run of at least three equal samples at the extreme counts as clipped if it is many times longer than the runs just
+    before and after it. With a ``driver`` (the input that causes this output), only runs during which the driver moves
+    count, because an output may be constant while its input is constant. Without a driver, a signal that rests at many
+    levels (steps) does not count as clipped.
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -352,9 +352,9 @@ def count_reversals(values) -> int:
 
 
 def estimate_delay(u, y, sample_time: float) -> float:
-    """Return the lag [s] of y behind u with the highest correlation, interpolated by a parabola.
+    """Return the lag [s] of y behind u at which their correlation is highest, interpolated by a parabola.
 
-    The search covers half of the input's period, so that it cannot be wrong by a whole period.
+    The search covers half of the input's period, so that the result cannot be wrong by a whole period.
     """
     u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
     n = u.size
@@ -363,7 +363,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
     reach = max(2, min(n // 4, int(0.5 * n / main)))
     products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
     lags = np.arange(-reach, reach + 1)
-    # the correlation coefficient of the overlapping parts: plain products are biased towards zero lag
+    # correlation coefficient of the overlapping parts, because plain products are biased towards zero lag
     first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
     overlap = n - np.abs(lags)
     sums = []
@@ -372,7 +372,8 @@ def estimate_delay(u, y, sample_time: float) -> float:
         sums.append(total[first + overlap] - total[first])
     spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
     window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
-    # an inverted sine also fits half a period away, so an inverted output must match clearly better
+    # an inverted sine fits equally well half a period away, so an inverted output is accepted only if it fits clearly
+    # better
     sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
     best = int(np.argmax(sign * window))
     shift = 0.0
@@ -395,7 +396,7 @@ def _check_delay(u, y, sample_time):
 
 
 def _check_drift(time, u, y, unit):
-    """Return the drift: the part linear in time of a fit of y by the input, the input's direction and time."""
+    """Return the drift: the part linear in time in a fit of y by the input, the direction of the input, and time."""
     scaled = (u - u.mean()) / np.ptp(u)
     smooth = np.gradient(scaled)
     direction = smooth / (np.max(np.abs(smooth)) or 1.0)
@@ -454,7 +455,7 @@ class IdentificationData:
 
     @property
     def stroke(self) -> float:
-        """Peak-to-peak output in its SI unit, missing samples left out; NaN without any sample."""
+        """Peak-to-peak output in its SI unit, without missing samples; NaN if there are no samples."""
         finite = self.output[np.isfinite(self.output)]
         return float(np.ptp(finite)) if finite.size else float("nan")
 
@@ -472,7 +473,7 @@ class IdentificationData:
         return replace(self, **columns, first=self.first + start)
 
     def checked(self, minimum_samples: int = 50) -> tuple[IdentificationData, DataReport]:
-        """Return the data without missing samples at both ends, with the report of its checks."""
+        """Return the data without missing samples at both ends, and the report of its checks."""
         data = self.trimmed()
         report = check_data(
             data.time, data.input, data.output, data.input_unit, data.output_unit, minimum_samples=minimum_samples
@@ -481,7 +482,7 @@ class IdentificationData:
         return data, report.warned(data.warnings)
 
     def trimmed(self) -> IdentificationData:
-        """Return the data without the samples at both ends at which the input or output is missing."""
+        """Return the data without the samples at its ends whose input or output is missing."""
         finite = np.isfinite(self.input) & np.isfinite(self.output)
         if not finite.any() or (finite[0] and finite[-1]):
             return self
@@ -511,7 +512,7 @@ def from_recording(
 
 
 def _refuse_inchworm(path, columns, input, output) -> None:
-    """Raise DataError for an inchworm motor's run without named columns: its slider does not follow one voltage."""
+    """Raise DataError if an inchworm motor's run is read without column names: its slider follows several voltages."""
     if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
         raise DataError(
             "inchworm",
@@ -561,7 +562,7 @@ def from_table(
 
 
 def _same_unit(recording, choice):
-    """Return the name of a bag's signal; a given unit must be its SI unit."""
+    """Return the name of the chosen signal of a bag; a given unit must be the SI unit of the signal."""
     name, unit = (choice, None) if choice in recording else split_choice(choice)
     there = recording.units.get(name)
     if unit is not None and there is not None and unit != there:
@@ -588,7 +589,7 @@ def _si(name, unit):
 
 
 def refuse_short(samples: int, needed: int, what: str) -> None:
-    """Raise DataError when the data is too short for a fit."""
+    """Raise DataError if the data has too few samples for a fit."""
     if samples < needed:
         raise DataError("short", f"{samples} samples are too few for {what}; at least {needed} are needed")
 
@@ -598,7 +599,7 @@ FEWEST_SAMPLES = 20
 
 
 def checked_signals(input_, output, names=("voltage", "displacement"), fewest: int = FEWEST_SAMPLES):
-    """Return both signals as float arrays of one length, shape (N,); raise DataError if they cannot be fitted."""
+    """Return both signals as float arrays of the same length, shape (N,); raise DataError if they cannot be fitted."""
     signals = []
     for name, values in zip(names, (input_, output), strict=True):
         values = np.ascontiguousarray(values, dtype=np.float64)

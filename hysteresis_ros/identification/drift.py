@@ -7,12 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drift and creep: a straight line in time, and how much of it creep could be.
+"""Drift and creep: a straight line in time, and how much of this line could be creep.
 
-A drift is independent of the voltage. Creep with time constants beyond the recording moves almost as straight, because
-the mean voltage of a recording differs from its first. The line in the residual is therefore fitted together with slow
-relaxations of the modelled displacement. Each of them may be as large as in known materials (:data:`CREEP`), so what
-the recording does not distinguish becomes part of the deviation of the drift.
+A drift is independent of the voltage. Creep with time constants longer than the recording looks almost like a straight
+line, because the mean voltage of a recording differs from its first voltage. The line in the residual is therefore
+fitted together with slow relaxations of the modelled displacement. Each relaxation may be as large as in known
+materials (:data:`CREEP`), so whatever the recording cannot distinguish from a drift adds to the standard deviation of
+the drift.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from hysteresis_ros.identification.validation import inflation
 
 #: Time constants of the relaxations, as fractions of the duration of the recording.
 SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
-#: Standard deviation of the relaxation with each of them, as a fraction of a step, beyond the fitted creep: assumed;
-#: creep of 2 % per decade has relaxations of 0.01 in such distances.
+#: Assumed standard deviation of the relaxation with each of these time constants, in addition to the fitted creep, as a
+#: fraction of a step. Creep of 2 % per decade corresponds to relaxations of 0.01 at this spacing of the time constants.
 CREEP = 0.01
-#: A drift differs from zero if it is beyond this number of its standard deviations.
+#: A drift is significant if it exceeds this number of its standard deviations.
 CERTAIN = 2.0
 
 
 class Drift(NamedTuple):
-    """A line in the residual of a fit."""
+    """A straight line in the residual of a fit."""
 
     value: float  #: [m/s]
     deviation: float  #: Standard deviation [m/s], including creep that the recording does not distinguish from a drift.
 
     @property
     def certain(self) -> bool:
-        """Whether it is more than creep."""
+        """Whether the line is more than creep could be."""
         return abs(self.value) > CERTAIN * self.deviation
 
 
 def drift_beside_creep(data, moved, residual, settled: bool) -> Drift:
-    """Return the line in a residual, shape (n,), fitted together with slow relaxations of a displacement.
+    """Return the straight line in a residual, shape (n,), fitted together with slow relaxations of a displacement.
 
     ``data`` is condensed; ``moved`` is the modelled displacement without constants, shape (N,). Units: ``moved`` [m],
     ``residual`` [m].

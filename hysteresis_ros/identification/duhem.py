@@ -7,18 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Duhem models from data: the model, its inverse, and the model before linear dynamics (Wang, Alici & Tan 2014; W1-W5).
+"""Duhem models from data: model, inverse, and model with linear dynamics after it (Wang, Alici & Tan 2014; W1-W5).
 
 The loops are prepared (W2): the lag is removed, frequencies are made comparable, and the branches of the major loop are
 extracted. For a given α these branches determine f and g. W3 computes f and g from the branches *and their slopes*, but
-the slopes of measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known
-path of the input, the equation is used in its integrated form instead: the fit finds f and g, as networks or splines,
-with which the equation follows the measured branches. For exact branches both methods are equivalent; the integral
-needs no differentiation of noise. Input and output of the major loop are normalised to -1 … +1.
+the slopes of measured branches are mostly noise. The output of the Duhem equation is linear in f and g along a known
+path of the input, so the equation is used in its integrated form instead: the fit finds those f and g, as networks or
+splines, with which the equation follows the measured branches. For exact branches both methods are equivalent, but the
+integral does not differentiate noise. Input and output of the major loop are normalised to -1 … +1.
 
-The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces only the major loop: after a reversal
-inside it, the output first moves in the wrong direction. α determines the minor loops, so it is identified from them
-(W7) if the recordings contain any. The inverse (W4) is the same with input and output exchanged.
+The paper fixes α = 80 (for an input of -1 … 1). With this value the model reproduces only the major loop: after a
+reversal inside the loop, the output first moves in the wrong direction. α determines the minor loops; if the recordings
+contain minor loops, α is identified from them (W7). The inverse (W4) is identified in the same way, with input and
+output exchanged.
 
 A linear part of second order after the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
 w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or the output of the identified hysteresis (G2, W5).
@@ -62,15 +63,15 @@ class PreparedLoops:
     voltage: tuple[np.ndarray, ...]  #: Input of each recording, delayed by its lag [V].
     displacement: tuple[np.ndarray, ...]  #: Output [m], scaled to the amplitude of the first recording.
     delays: tuple[float, ...]  #: Lag of each recording [s].
-    gains: tuple[float, ...]  #: max |y| of each recording [m]: the effect of the linear part on the amplitude.
+    gains: tuple[float, ...]  #: max |y| of each recording [m]: shows the effect of the linear part on the amplitude.
 
 
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
-    """Return the delay of the reversals of the displacement after those of the voltage [s] (Δt of W2).
+    """Return by how much the reversals of the displacement are later than those of the voltage [s] (Δt of W2).
 
-    Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. Around each reversal, two
-    parabolas of the voltage that meet in the corner, one before and one after it, describe the displacement; the lag is
-    the delay of the voltage with the smallest residual. The phase of the first harmonic would also include the
+    Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. Around each reversal, the
+    displacement is described by two parabolas of the delayed voltage that meet at the corner, one before and one after
+    it. The returned lag is the delay with the smallest residual. The phase of the first harmonic would also include the
     hysteresis.
 
     Units: ``voltage`` [V], ``displacement`` [m].
@@ -119,8 +120,8 @@ def reversal_delay(voltage, displacement, sample_time: float, longest: float | N
 def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
     """Shift each input by the lag of its recording, and scale all outputs to the amplitude of the first (W2).
 
-    Loops of one amplitude at different frequencies then coincide, if hysteresis is rate independent. Recordings of
-    different amplitude must not be mixed here: the scaling would hide how hysteresis depends on the amplitude.
+    Loops of the same amplitude at different frequencies then coincide if the hysteresis is rate independent. Do not mix
+    recordings of different amplitude: the scaling would hide how the hysteresis depends on the amplitude.
 
     Units: ``recordings`` [V], [m], ``sample_time`` [s], ``delays`` [s].
     """
@@ -157,7 +158,7 @@ class MajorLoop:
     input_high: float
     output_low: float
     output_high: float
-    gap: float  #: Larger gap between the branches at an end, as a fraction of the output range.
+    gap: float  #: Larger of the gaps between the branches at the two ends, as a fraction of the output range.
     #: Standard error of the grid values (normalised), from the scatter of the samples around the branches.
     noise: float
 
@@ -178,7 +179,7 @@ class MajorLoop:
 def major_loop(inputs, outputs) -> MajorLoop:
     """Return the branches between the ends of the input range, averaged over all cycles and recordings.
 
-    The first branch of a recording begins at rest, not on the loop; it counts only if there is no other.
+    The first branch of a recording begins at rest, not on the loop; it is used only if there is no other branch.
     """
     low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
     near = NEAR_END * (high - low)
@@ -228,7 +229,7 @@ def major_loop(inputs, outputs) -> MajorLoop:
 
 
 def _on_grid(grid, v, y):
-    """Return the polygon over ``grid`` nearest to the samples, and its sum of squares; gaps are bridged."""
+    """Return the piecewise linear curve over ``grid`` nearest to the samples, bridging gaps, and its sum of squares."""
     from scipy.linalg import solveh_banded  # imported here because only fits need it
 
     n = grid.size
@@ -255,10 +256,10 @@ def _on_grid(grid, v, y):
 
 #: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Largest α (normalised), below the overflow of exponentials. At much smaller values, branches already switch within 1
-#: % of the range.
+#: Largest α (normalised), below the overflow of exponentials. Even with much smaller α, a branch reaches the other one
+#: within 1 % of the range.
 LARGEST_ALPHA = 300.0
-#: Weight of the roughness (splines) and of the size of the weights (networks), relative to the residual. It only
+#: Weight, relative to the residual, of the roughness of splines and of the size of the weights of networks. It only
 #: decides between equally good fits.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
@@ -272,7 +273,7 @@ TRAINING_STEPS = 150
 #: Residual at which the training of networks ends.
 TRAINED = 2e-4
 
-# Gauss-Legendre rule of three points on 0 … 1, which the model's own kernel uses too.
+# Gauss-Legendre rule of three points on 0 … 1; the kernel of the model uses the same rule.
 _POINTS = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
@@ -286,11 +287,11 @@ class Shapes:
     g: np.ndarray
     rms: float  #: rms, maximum: Residual of the loop with these functions, as a fraction of half the range.
     maximum: float
-    converged: bool  #: The training converged or reached :data:`TRAINED`; splines need no training.
+    converged: bool  #: Training converged or reached :data:`TRAINED`; true for splines (no training).
 
 
 class LoopOperator:
-    """The Duhem equation, integrated once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
+    """The Duhem equation integrated up and down a grid, once each: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
 
     def __init__(self, grid, alpha, start):
         longest = float(np.max(np.diff(grid)))
@@ -337,13 +338,13 @@ class LoopOperator:
 
 
 def _solve_normal(rows, wanted) -> np.ndarray:
-    """Solve a well-conditioned problem by its normal equations, which avoids multithreaded routines."""
+    """Solve a well-conditioned least-squares problem by its normal equations, without multithreaded routines."""
     normal = np.einsum("ij,ik->jk", rows, rows)
     return np.linalg.solve(normal, np.einsum("ij,i->j", rows, wanted))
 
 
 def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
-    """Return the splines of ``knots`` values whose loop is nearest to ``target``, shape (2 n,)."""
+    """Return the splines with ``knots`` values whose loop is nearest to ``target``, shape (2 n,)."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     basis = CubicSpline(np.linspace(-1.0, 1.0, knots), np.eye(knots))(operator.nodes)
@@ -357,7 +358,7 @@ def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
 
 
 def fit_networks(operator: LoopOperator, target, units: int, random, noise: float = 0.0) -> Shapes:
-    """Return trained networks of ``units`` tanh units each, the best of a few seeded starts."""
+    """Return the best trained networks, with ``units`` tanh units each, of a few seeded starts."""
     from scipy.optimize import least_squares  # imported here because only fits need it
 
     v = operator.nodes[:, None]
@@ -415,7 +416,7 @@ def _first_networks(operator, target, units, random) -> np.ndarray:
 
 
 def fit_shapes(operator: LoopOperator, target, kind: str, size: int | None, random, noise: float = 0.0) -> Shapes:
-    """Return f and g of the given kind."""
+    """Return f and g of the given kind: networks or splines."""
 
     def fit(number):
         if kind == "spline":
@@ -447,13 +448,13 @@ def _shapes(kind, f, g, residual, converged) -> Shapes:
 
 #: The paper's α, for a normalised input of -1 … 1.
 PUBLISHED_ALPHA = 80.0
-#: Initial values of α, and the number of knots of the splines in the search.
+#: Initial values of α, and number of knots of the splines during the search.
 ALPHAS = np.geomspace(0.05, 100.0, 23)
 SEARCH_KNOTS = 26
 #: Largest number of samples of the minor loops in the search.
 SEARCH_SAMPLES = 800
 ALPHA_TOLERANCE = 1e-3
-#: Smallest difference of a minor loop from the major one that determines α, as a fraction of the range.
+#: Smallest deviation of a minor loop from the major loop, as a fraction of the range, from which α can be determined.
 SMALLEST_MINOR = 0.1
 
 
@@ -467,9 +468,9 @@ class DuhemIdentification:
     loop: MajorLoop  #: The branches used for the fit.
     rms: float  #: rms, maximum: Residual of the major loop, as a fraction of its full range.
     maximum: float
-    #: Residual of the recording that gives α, as a fraction of the full range; NaN without minor loops.
+    #: Residual of the recording from which α is identified, as a fraction of the full range; NaN without minor loops.
     minor_rms: float
-    converged: bool  #: The training of f and g and the search for α converged; α does not lie at a bound.
+    converged: bool  #: Whether the training of f and g and the search for α converged, with α inside its range.
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
 
@@ -503,7 +504,7 @@ def identify_inverse_duhem(
 ) -> DuhemIdentification:
     """Identify F, G and α of the inverse Duhem model, displacement to voltage (W4).
 
-    The arguments are those of :func:`identify_duhem`; the returned model takes metres and gives volts.
+    The arguments are those of :func:`identify_duhem`; the returned model has an input in metres and an output in volts.
     """
     if minor is not None:
         minor = (minor[1], minor[0])
@@ -512,7 +513,7 @@ def identify_inverse_duhem(
 
 
 def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdentification:
-    """Identify from ``signals``; ``names`` are those of input and output."""
+    """Identify f, g and α from ``signals``; ``names`` are the names of input and output."""
     inputs, outputs = signals
     if shape not in ("network", "spline"):
         raise IdentificationError(f"shape = {shape!r}: must be network or spline")
@@ -573,7 +574,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
 
 
 def _operator(loop: MajorLoop, alpha):
-    """Return the operator and its target outputs: the rising, then the falling branch."""
+    """Return the operator, and the outputs that it should have: the rising branch, then the falling branch."""
     return LoopOperator(loop.grid, alpha, loop.rising[0]), np.concatenate([loop.rising, loop.falling[::-1]])
 
 
@@ -602,11 +603,11 @@ def _has_minor_loops(u) -> bool:
 
 
 def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
-    """Return the residual of a recording, as a fraction of the full range, from its first reversal on."""
+    """Return the residual for recording ``minor`` from its first reversal on, as a fraction of the full range."""
     u, y = minor
     block = DuhemHysteresis(replace(parameters, input_start=float(u[0]), output_start=float(y[0])), 1.0)
     first = split_branches(u)[0]
-    # a first branch from the middle of the range starts in a state that the model does not know
+    # if the first branch starts inside the range, the state of the model there is unknown
     inside = min(abs(u[0] - loop.input_low), abs(u[0] - loop.input_high)) > NEAR_END * (
         loop.input_high - loop.input_low
     )
@@ -615,7 +616,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
 
 
 def _thinned(u, y):
-    """Return a subset of the samples with all reversals; a rate-independent model needs no others."""
+    """Return a subset of the samples with all reversals; a rate-independent model needs no other samples."""
     step = max(1, u.size // SEARCH_SAMPLES)
     turns = [branch.stop for branch in split_branches(u)]
     kept = np.union1d(np.arange(0, u.size, step), np.array(turns, dtype=int))
@@ -623,7 +624,7 @@ def _thinned(u, y):
 
 
 def _search_alpha(loop: MajorLoop, minor):
-    """Return the α that also reproduces the minor loops, and whether it lies inside the searched range."""
+    """Return the α that reproduces the minor loops best, and whether it lies inside the searched range."""
     from scipy.optimize import minimize_scalar  # imported here because only fits need it
 
     random = np.random.default_rng(0)
@@ -645,7 +646,7 @@ def _search_alpha(loop: MajorLoop, minor):
     return float(np.exp(found.x)), bool(found.success and (inside or 0 < best < grid.size - 1))
 
 
-#: With ``minimum_phase`` the zero is kept within this radius.
+#: With ``minimum_phase``, the magnitude of the zero is limited to this value.
 LARGEST_ZERO = 0.98
 
 
@@ -653,8 +654,8 @@ LARGEST_ZERO = 0.98
 class DuhemHammerstein:
     """Result of :func:`identify_duhem_hammerstein`."""
 
-    hysteresis: DuhemIdentification  #: First part: voltage to displacement at the amplitude of the first recording.
-    linear: ArxFit  #: Second part G2.
+    hysteresis: DuhemIdentification  #: Voltage to displacement, at the amplitude of the first recording.
+    linear: ArxFit  #: Linear part G2 after the hysteresis.
     linear_only: ArxFit  #: G1, the linear model without hysteresis, for comparison.
     prepared: PreparedLoops  #: Lags and gains of the recordings.
     rms: tuple[float, ...]  #: Simulation error of the whole model for each recording [m].
@@ -664,7 +665,7 @@ class DuhemHammerstein:
 
     @property
     def parameters(self) -> tuple[DuhemParameters, LinearParameters]:
-        """Both parts in the form of an actuator: the hysteresis has the gain, the linear part has unit DC gain."""
+        """Both parts as parameters of an actuator: the gain is in the hysteresis, the linear part has unit DC gain."""
         gain = self.linear.model.dc_gain
         hysteresis = self.hysteresis.parameters
         scaled = {name: gain * getattr(hysteresis, name) for name in ("output_low", "output_high", "output_start")}
@@ -688,7 +689,8 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # both recordings begin with the same large reversals, whose amplitudes give the gain of the linear part
+        # both recordings begin with the same large reversals; the ratio of their amplitudes is the gain of the linear
+        # part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)
@@ -717,7 +719,7 @@ def identify_duhem_hammerstein(
 
 
 def _simulation_rms(fit: ArxFit, inputs, outputs) -> tuple[float, ...]:
-    """Return the rms error of the simulated model for each recording, started from its first two outputs."""
+    """Return the rms simulation error of the linear model for each recording, started from its first two outputs."""
     found = []
     for w, y in zip(inputs, outputs, strict=True):
         start = (y[0], y[1] + fit.denominator[1] * y[0] - fit.numerator[0] * w[0])

@@ -7,10 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The linear dynamics after a hysteresis, from its output and the measurement (:func:`fit_stage`).
+"""Linear dynamics after a hysteresis, from the output of the hysteresis and the measurement (:func:`fit_stage`).
 
-Either the user names the structure (:data:`STAGES`: continuous by output error, ARX, matrix fraction), or lag, delay
-and up to two resonances are chosen here and identified alternately with the hysteresis.
+Either the user names the structure (one of :data:`STAGES`: a continuous model fitted by output error, ARX, or a matrix
+fraction), or the functions here choose lag, delay and up to two resonances, and identify them alternately with the
+hysteresis.
 
 The output w of the hysteresis and the measured displacement are compared by the spectra of segments: a recording of any
 length becomes sums at a few thousand frequencies, so that a trial of a model takes a millisecond. Both signals are
@@ -66,9 +67,10 @@ from hysteresis_ros.recordings.loops import turning_points
 LENGTHS = 8
 #: Number of folds. Segments are assigned to the folds in turn, so that an event does not fall into a single fold.
 FOLDS = 4
-#: A sweep passes each frequency once: where one fold has this fraction of the input's power, and nothing remains to
-#: predict it from, the folds take turns from block to block of this number of frequencies (the window correlates lines
-#: up to two apart). Only real content counts, LEAST_POWER of the power of the fold within BAND of the frequency.
+#: A sweep passes each frequency once, so one fold may contain more than the fraction SWEPT of the input's power at a
+#: frequency, and the other folds cannot predict it. At these frequencies, the sums of the folds are exchanged in turn
+#: from block to block of BLOCK frequencies (the window correlates lines up to two apart). This is done only where the
+#: fold has real content: more than LEAST_POWER of its power within BAND of the frequency.
 SWEPT, BLOCK = 0.8, 4
 LEAST_POWER, BAND = 1e-3, 0.1
 #: Frequencies closer together than this fraction of the frequency are combined.
@@ -105,11 +107,11 @@ class SegmentSpectra:
         return np.maximum(size, 0.0)
 
     def noise(self, response) -> np.ndarray:
-        """Return the mean Σ |Y - G W|² of a fold, smooth over the frequency, shape (n,)."""
+        """Return the mean Σ |Y - G W|² of a fold, smoothed over the frequency, shape (n,)."""
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
-        """Return the mean |Y|² of a segment without the linear response to w, smooth over the frequency, shape (n,)."""
+        """Return the mean |Y|² of a segment minus its linear response to w, smoothed over the frequency, shape (n,)."""
         tiny = np.finfo(float).tiny
         explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
         left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
@@ -125,7 +127,7 @@ class SegmentSpectra:
 
 
 def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> SegmentSpectra:
-    """Return the spectra of two signals of one rate.
+    """Return the sums of the spectra of two signals of the same sample rate, first ``w``, then ``y``.
 
     Units: ``sample_time`` [s].
     """
@@ -157,7 +159,7 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
 
 
 def _swept(frequencies, power) -> np.ndarray:
-    """Return where one fold has nearly all power of the input, and real content, shape (n,) of bool."""
+    """Return where one fold has nearly all power of the input and this power is real content, shape (n,) of bool."""
     most = np.argmax(power, axis=0)
     total = np.pad(np.cumsum(power, axis=1), ((0, 0), (1, 0)))
     low, high = (np.searchsorted(frequencies, frequencies * (1.0 + side)) for side in (-BAND, BAND))
@@ -173,7 +175,8 @@ DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
-#: Standard deviation of the power of the window's spectrum (Hann), as a fraction of the distance of two lines.
+#: Standard deviation of the power of the spectrum of the window (Hann), as a fraction of the distance between two
+#: lines.
 WINDOW_WIDTH = 1.0 / math.sqrt(3.0)
 #: Relative step of the derivatives: the square root of the machine precision.
 SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
@@ -181,7 +184,8 @@ SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
 KEPT_COLUMNS = 16
 #: Least number of cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
-#: Smallest model error, as a fraction of the movement at neighbouring frequencies, because the window leaks that much.
+#: Smallest error assumed for a model, as a fraction of the movement at neighbouring frequencies: the leakage of the
+#: window.
 SMALLEST_ERROR = 3e-3
 
 
@@ -192,7 +196,7 @@ class ModalStructure:
     lag: bool
     delay: bool
     modes: int = 0
-    #: Lag and modes in series, without zeros; otherwise in parallel, with free numerators.
+    #: True: lag and modes in series, without zeros; false: in parallel, with free numerators.
     series: bool = False
 
     @property
@@ -210,18 +214,18 @@ class ModalTrial:
     gain: float
     response: np.ndarray  #: shape (n,); Response at the frequencies of the spectra, including the gain.
     values: np.ndarray  #: Parameters of the search.
-    #: Standard deviations of the chosen trial: lag and delay [s], mode_1_hz, mode_1_damping …
+    #: Standard deviations by name, for the chosen trial only: lag and delay [s], mode_1_hz, mode_1_damping …
     deviations: dict[str, float] = field(default_factory=dict)
 
 
 @functools.lru_cache(maxsize=8)
 def _backward(frequencies: bytes, sample_time: float) -> np.ndarray:
-    """Return 1/z at frequencies [Hz], given as the bytes of their array; cached, because a search needs it often."""
+    """Return 1/z at frequencies [Hz] (the bytes of their array); cached, because searches need it often."""
     return np.exp(-2j * np.pi * sample_time * np.frombuffer(frequencies))
 
 
 def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return 1/z, 1/z to the power of the whole samples of a delay plus 1, and the remaining fraction of a sample."""
+    """Return 1/z, z^-(k + 1) with the k whole samples of the delay, and the remaining fraction of a sample."""
     back = _backward(np.asarray(frequencies, dtype=float).tobytes(), sample_time)
     whole = int(np.floor(delay / sample_time + 1e-9))
     return back, back ** (whole + 1) if whole else back, max(delay / sample_time - whole, 0.0)
@@ -230,8 +234,8 @@ def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray,
 def _held_mode(frequency, damping, sample_time: float, part: float):
     """Return numerators in 1/z of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) for a held input, and the denominator.
 
-    ``part`` is the part of a sample by which the input is late. The three coefficients of a numerator lack the
-    factor 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
+    ``part`` is the fraction of a sample by which the input is late. The three coefficients of each numerator are to be
+    multiplied by 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
     """
     omega = 2.0 * np.pi * frequency
     pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
@@ -245,7 +249,7 @@ def _held_mode(frequency, damping, sample_time: float, part: float):
 
 
 def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float, float]:
-    """Return the two coefficients of the numerator of a lag for a held input, without a factor 1/z, and its pole.
+    """Return the two coefficients of the numerator of a lag for a held input, to be multiplied by 1/z, and the pole.
 
     Units: ``lag``, ``sample_time`` [s]; ``part`` as in :func:`_held_mode`.
     """
@@ -283,7 +287,7 @@ def _rows(table) -> np.ndarray:
 
 
 def _solved(rows, right) -> np.ndarray:
-    """Return the coefficients of rows, shape (k,) or (k, m), from their products with what they stand for."""
+    """Return the least-squares coefficients of ``rows``, shape (k,) or (k, m); ``right`` is rows · target."""
     gram = rows @ rows.T
     size = np.sqrt(gram.diagonal())
     size[size == 0.0] = 1.0
@@ -319,13 +323,13 @@ class ModalSearch:
             self._set(variance)
 
     def weigh(self, response) -> None:
-        """Weight the frequencies of all further fits by the residual noise of a response."""
+        """Weight the frequencies of all later fits by the noise, estimated from the residual of a response."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
         self._set(np.maximum(noise, SMALLEST_ERROR**2 * around))
 
     def _set(self, variance) -> None:
-        """Weight the frequencies of all further fits by a variance."""
+        """Weight the frequencies of all later fits by a variance."""
         self.variance, self.weight = variance, np.sqrt(self.power / variance)
         self.target = self.weight * self.estimate
         self.without = functools.lru_cache(self._without)
@@ -336,11 +340,11 @@ class ModalSearch:
 
     @property
     def scale(self) -> float:
-        """Factor by which sums over folds and frequencies count as independent samples."""
+        """Factor that converts sums over folds and frequencies to a number of independent samples."""
         return self.spectra.samples / self.spectra.input.size
 
     def _without(self, fold: int) -> ModalSearch:
-        """Return a search on the other folds, with the weights of the present search."""
+        """Return a search on all folds except ``fold``, with the weights of this search."""
         spectra = self.spectra
         kept = np.arange(len(spectra.input)) != fold
         sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
@@ -361,7 +365,7 @@ class ModalSearch:
         return np.reshape(rows, (-1, 2)).T
 
     def part(self, structure: ModalStructure, values, coefficients) -> tuple[LinearPart, float]:
-        """Return the linear part of unit gain, and the gain."""
+        """Return the linear part with unit gain, and its separated gain."""
         lag, delay, pairs = self.unpack(structure, values)
         if structure.series:
             modes, gain = in_series(lag, pairs), float(coefficients[0])
@@ -373,7 +377,7 @@ class ModalSearch:
         return LinearPart(lag=lag, delay=delay, modes=modes, hold=self.T), gain
 
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
-        """Return the columns that the response is linear in, shape (n, k)."""
+        """Return the columns of which the response is a linear combination, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
         late = self.column_of_lag(lag, delay)
         both = [self.columns_of_mode(frequency, damping, delay) for frequency, damping in pairs]
@@ -386,14 +390,14 @@ class ModalSearch:
         return np.concatenate([late[:, None], *both], axis=1)
 
     def column_of_lag(self, lag: float, delay: float) -> np.ndarray:
-        """Return the response of a late lag, shape (n,).
+        """Return the response of a lag after a delay, shape (n,).
 
         Units: ``lag``, ``delay`` [s].
         """
         return _lag_column(lag, self.f, self.T, delay)
 
     def columns_of_mode(self, frequency: float, damping: float, delay: float) -> np.ndarray:
-        """Return :func:`mode_columns`, shape (n, 2); the last ones are kept, as derivatives change one mode at a time.
+        """Return :func:`mode_columns`, shape (n, 2), from a cache, because derivatives change one mode at a time.
 
         Units: ``frequency`` [Hz], ``delay`` [s].
         """
@@ -414,7 +418,7 @@ class ModalSearch:
         return coefficients, coefficients @ rows - target
 
     def costs_with(self, columns, pairs) -> np.ndarray:
-        """Return the squared residual with each of K pairs of columns, shape (K, n, 2), in addition, shape (K,)."""
+        """Return the squared residual, shape (K,), with each of K pairs of columns, shape (K, n, 2), added."""
         table = self.weight[:, None] * columns
         rest = self.target - table @ _least_squares(table, self.target)
         flat = self.weight[:, None] * np.moveaxis(pairs, 0, 1).reshape(len(self.f), -1)
@@ -427,7 +431,7 @@ class ModalSearch:
         return np.sum(np.abs(rest) ** 2) - (bb * at**2 - 2.0 * ab * at * bt + aa * bt**2) / left
 
     def with_short_delays(self, trial: ModalTrial) -> np.ndarray:
-        """Return the values of a trial with lag and delay of typical size, two samples and one."""
+        """Return the values of a trial, with lag and delay replaced by typical short ones: two samples and one."""
         head = [np.log(2.0 * self.T)] * trial.structure.lag + [1.0] * trial.structure.delay
         return np.append(head, trial.values[len(head) :])
 
@@ -468,7 +472,7 @@ class ModalSearch:
         return self.trial(structure, best[1])
 
     def slopes(self, structure: ModalStructure, values, here) -> np.ndarray:
-        """Return the derivatives of the residual ``here`` at these values, shape (2 n, k).
+        """Return the derivatives of the residual with respect to the values, shape (2 n, k); ``here`` is the residual.
 
         The coefficients follow the values: with columns Φ, coefficients c and the residual r,
         ΦᵀΦ dc = -(dΦᵀ r + Φᵀ dΦ c) (variable projection, Golub and Pereyra 1973). Only dΦ is a difference, so the
@@ -491,10 +495,10 @@ class ModalSearch:
     def deviations(self, trial: ModalTrial) -> dict[str, float]:
         """Return the standard deviations of lag [s], delay [s], and frequency [Hz] and damping of the modes.
 
-        The window correlates neighbouring lines, which :func:`parameter_covariance` counts. It also averages the
-        response over :data:`WINDOW_WIDTH` lines, which makes resonances wider: the shift of the parameters by this
-        average is added to their deviations. With two modes and no lag there is no deviation of the delay: their free
-        numerators can stand for half a sample of it, so that it has several likely values.
+        The window correlates neighbouring lines; :func:`parameter_covariance` includes this correlation. The window
+        also averages the response over :data:`WINDOW_WIDTH` lines, which makes resonances wider; the resulting shift of
+        the parameters is added to their deviations. With two modes and no lag there is no deviation of the delay: the
+        free numerators of the modes can represent half a sample of delay, so several delays are equally likely.
         """
         if not trial.values.size:
             return {}
@@ -514,7 +518,7 @@ class ModalSearch:
         return self.named(trial, np.hypot(np.sqrt(np.diag(covariance)), shift))
 
     def named(self, trial: ModalTrial, deviations) -> dict[str, float]:
-        """Return the deviations of the search's values as those of lag, delay [s], frequencies [Hz] and dampings."""
+        """Return deviations of the search's values by name: lag, delay [s], frequencies [Hz] and dampings."""
         sizes = iter(deviations)
         lag, _, pairs = self.unpack(trial.structure, trial.values)
         found = {"lag": lag * next(sizes)} if trial.structure.lag else {}
@@ -537,10 +541,11 @@ class ModalSearch:
 #: Order of the autoregressive model that whitens the residual, and number of times that it is fitted: assumed.
 WHITENING, WHITENED = 40, 2
 #: Largest number of evaluations of the refinement in time. A sample is an outlier if its whitened residual is more than
-#: FAR times the median of AROUND samples.
+#: FAR times the median over AROUND samples.
 REFINEMENTS, FAR, AROUND = 12, 10.0, 101
-#: Size of the residual, relative to the output, below which nothing is left to refine. Fewer samples do not determine
-#: the whitening; of more, the spectra have so long segments that their window has little effect.
+#: Residual relative to the output, below which no refinement is needed, and range of the number of samples for a
+#: refinement: fewer do not determine the whitening filter; for more, the segments of the spectra are so long that the
+#: window has little effect.
 EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
 
 
@@ -561,7 +566,7 @@ class TimeSearch(ModalSearch):
         self._filter_by(np.ones(1))
 
     def _filter_by(self, whitening, kept=None) -> None:
-        """Use this filter, shape (order + 1,), and of its samples those that are ``kept``, shape (n,) of bool."""
+        """Use this filter, shape (order + 1,), and only the filtered samples that are ``kept``, shape (n,) of bool."""
         self._whitening, self._kept, self._basis = whitening, kept, None
         self.cached.clear()
         self._basis = np.linalg.qr(self._filtered(self._beside))[0]
@@ -577,17 +582,17 @@ class TimeSearch(ModalSearch):
         return found if self._basis is None else found - self._basis @ (self._basis.T @ found)
 
     def _column(self, values) -> np.ndarray:
-        """Return samples, shape (N,), filtered and without a constant and a line, as complex pairs, shape (n/2,)."""
+        """Return samples, shape (N,), filtered, with constant and line removed, as complex pairs, shape (n/2,)."""
         return np.ascontiguousarray(self._filtered(values)).view(complex)
 
     def _late(self, delay: float) -> tuple[np.ndarray, float]:
-        """Return the input, late by the whole samples of a delay [s] plus 1, and the remaining fraction of a sample."""
+        """Return the input, late by 1 + the whole samples of a delay [s], and the remaining fraction of a sample."""
         whole = int(np.floor(delay / self.T + 1e-9))
         count = min(whole + 1, len(self._w))
         return np.append(np.zeros(count), self._w[: len(self._w) - count]), max(delay / self.T - whole, 0.0)
 
     def column_of_lag(self, lag: float, delay: float) -> np.ndarray:
-        """Return the whitened output of a late lag, shape (n/2,).
+        """Return the whitened output of a lag after a delay, shape (n/2,).
 
         Units: ``lag``, ``delay`` [s].
         """
@@ -602,12 +607,12 @@ class TimeSearch(ModalSearch):
         return np.stack([self._column(output) for output in outputs], axis=1)
 
     def whiten(self, structure: ModalStructure, values) -> None:
-        """Whiten by the residual of a model, and leave out its outliers."""
+        """Whiten with the residual of a model, and omit the residual's outliers."""
         self._filter_by(np.ones(1))
         whitening = _whitening(self.residual(structure, values))
         self._filter_by(whitening)
         size = np.abs(self.residual(structure, values))
-        # outliers stand alone; where the model is wrong, as at a resonance, the neighbours are large, too
+        # outliers are isolated; where the model is wrong, as at a resonance, neighbouring samples are large, too
         around = scipy.ndimage.median_filter(size, AROUND)
         self._filter_by(whitening, size <= FAR * np.maximum(around, np.median(size)))
         # the search ends where its gradient is small, so the residual must have the size of 1
@@ -615,11 +620,11 @@ class TimeSearch(ModalSearch):
         self.weight, self.target = self.weight / scale, self.target / scale
 
     def residual(self, structure: ModalStructure, values) -> np.ndarray:
-        """Return the residual of the best coefficients, shape (n,)."""
+        """Return the residual with the best coefficients for these values, shape (n,)."""
         return self.solve(self.columns(structure, values))[1]
 
     def refined(self, trial: ModalTrial) -> ModalTrial:
-        """Return a trial of the spectra with the values and deviations that fit the samples best."""
+        """Return a trial of the spectra, refined: with the values that fit the samples best, and their deviations."""
         structure, values = trial.structure, trial.values
         if np.std(self.residual(structure, values)) <= EXACT * np.std(self._y):
             return trial
@@ -633,7 +638,7 @@ class TimeSearch(ModalSearch):
         return replace(found, deviations=self.deviations(found))
 
     def deviations(self, trial: ModalTrial) -> dict[str, float]:
-        """Return the standard deviations as :meth:`ModalSearch.deviations` does, from the scatter of the samples."""
+        """Return standard deviations as :meth:`ModalSearch.deviations` does, but from the scatter of the samples."""
         columns = self.columns(trial.structure, trial.values)
         residual = self.solve(columns)[1]
         slopes = self.slopes(trial.structure, trial.values, residual)
@@ -688,13 +693,13 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 #: Number of initial frequencies whose columns are computed together.
 TRIED_TOGETHER = 20
-#: Largest number of structures with an equal number of modes that are compared on held-out segments.
+#: Largest number of structures with the same number of modes that are compared on held-out segments.
 JUDGED = 3
 #: Number of evaluations after which the structures are compared for the first time, and number of those continued.
 SCREENED, CONTINUED = 10, 4
-#: A larger structure must predict better in at least this fraction of the folds. Each added mode must also improve the
-#: prediction at frequencies within this factor of its own, and only folds with at least this fraction of the input's
-#: power there count.
+#: A larger structure must predict better in at least the fraction MAJORITY of the folds. Each added mode must also
+#: improve the prediction at frequencies within the factor NEARBY_FREQUENCY of its own; there only folds with at least
+#: the fraction LEAST_SHARE of the input's power count.
 MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
 #: Largest number of evaluations of a fit without one fold, which starts near its minimum.
 FEW_EVALUATIONS = 6
@@ -707,7 +712,7 @@ def choose_dynamics(
     zeros: bool = True,
     accepted: Callable[[float], bool] | None = None,
 ) -> ModalTrial:
-    """Return the dynamics that predict held-out segments best for their number of parameters.
+    """Return the dynamics that predict held-out segments best; every additional parameter must improve the prediction.
 
     ``accepted`` states which frequencies [Hz] a mode may have.
     """
@@ -738,7 +743,7 @@ def _choices(part: str, parts) -> tuple[bool, ...]:
 
 
 def _price(spectra: SegmentSpectra) -> float:
-    """Return the improvement in twice the log-likelihood that an additional parameter must achieve."""
+    """Return by how much each additional parameter must increase twice the log-likelihood."""
     return float(np.log(spectra.samples))
 
 
@@ -768,7 +773,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
 
 
 def _majority(gain, spectra: SegmentSpectra, near) -> bool:
-    """Return whether most of the folds with content near the added modes improve; without modes, most of all folds."""
+    """Return whether most folds improve; after adding modes, only folds with content near these modes count."""
     telling = np.ones(len(gain), dtype=bool)
     if near:
         power = spectra.input[:, np.any(near, axis=0)].sum(axis=1)
@@ -810,7 +815,7 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
-    # lag and delay that stood for the missing mode lead to a local minimum, so each frequency starts without them, too
+    # each frequency also starts without lag and delay: values that represented the missing mode lead to a local minimum
     heads = (trial.values, search.with_short_delays(trial))
     for _, (frequency, damping) in sorted(found):
         if len(taken) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
@@ -833,7 +838,7 @@ def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):
 
 
 def _best_variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool) -> list[ModalTrial]:
-    """Return the structures with the same modes that fit best; the others are stopped after a few evaluations."""
+    """Return the best-fitting structures with the same modes; poor ones are stopped after a few evaluations."""
 
     def worth(found: ModalTrial) -> float:
         return search.cost(found.response) + _price(search.spectra) * found.structure.numbers
@@ -844,7 +849,7 @@ def _best_variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool) -
 
 
 def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:
-    """Return the trial, and the errors of its structure in each fold and frequency when fitted to the other folds."""
+    """Return the trial, and its structure's errors in each fold and frequency when fitted to the other folds only."""
     spectra, found = search.spectra, []
     for fold in range(len(spectra.input)):
         others = search.without(fold)
@@ -853,9 +858,9 @@ def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.nd
     return trial, np.array(found)
 
 
-#: Poles and zeros of the named continuous models.
+#: Numbers of poles and zeros of the named continuous models.
 CONTINUOUS = {"first_order": (1, 0), "second_order": (2, 0), "second_order_zero": (2, 1), "third_order": (3, 0)}
-#: Stages of a chosen structure, with descriptions.
+#: Stages with a structure chosen by the user, with descriptions.
 STAGES = {
     "first_order": "continuous, 1 pole, by output error",
     "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
@@ -865,7 +870,7 @@ STAGES = {
     "arx2": "discrete, a1 a2 b0 b1, least squares",
     "frequency_response": "discrete, order chosen, matrix fraction on Welch's frequency response",
 }
-#: The stage of lag, delay and modes that predicts held-out segments best.
+#: Name of the stage of lag, delay and modes whose structure is chosen by its prediction of held-out segments.
 MODES = "modes"
 
 
@@ -883,7 +888,7 @@ class LinearStage:
     rmse: float = math.nan  #: RMS error of the simulated output [m], if the output was fitted.
     warnings: tuple[str, ...] = ()
     converged: bool = True
-    deviations: dict[str, float] = field(default_factory=dict)  #: As those of :class:`ModalTrial`.
+    deviations: dict[str, float] = field(default_factory=dict)  #: As in :class:`ModalTrial`.
 
 
 def fit_stage(
@@ -902,8 +907,8 @@ def fit_stage(
 ) -> LinearStage:
     """Fit the dynamics between the output of the hysteresis and the measurement: one of :data:`STAGES`, or MODES.
 
-    ``intersample`` and ``initial`` belong to continuous stages; ``parts``, ``late``, ``zeros`` and ``accepted`` (which
-    frequencies [Hz] a mode may have) to :data:`MODES`.
+    ``intersample`` and ``initial`` apply to continuous stages only; ``parts``, ``late``, ``zeros`` and ``accepted`` (a
+    function that states which frequencies [Hz] a mode may have) apply to :data:`MODES` only.
 
     Units: ``w`` [m], ``y`` [m], ``sample_time`` [s], ``late`` [samples].
     """
@@ -929,7 +934,7 @@ def fit_stage(
 
 
 def _modal_stage(spectra: SegmentSpectra, samples: tuple, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and modes that are accepted, and refine modes on samples in time: (w, y, first)."""
+    """Choose lag, delay and accepted modes; refine any modes on the ``samples`` (w, y, first) in time."""
     pair = tuple(part for part in PAIR if part in parts)
     found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
     if found.structure.modes and REFINED[0] <= spectra.samples <= REFINED[1]:
@@ -989,12 +994,12 @@ def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings,
 
 #: A recording that cannot be reduced to this number of samples counts as fast.
 FAST_SAMPLES = 12000
-#: Numbers of samples used for fast recordings: to search for creep, and to compute the final weights.
+#: Numbers of samples used for fast recordings: for the search for creep, and for the final weights.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
-#: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if the voltage has
-#: LEAST_POWER of its power within BAND of the resonance frequency, in one of the segments of the spectra;
-#: a segment holds at least this number of cycles.
+#: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if, in one segment
+#: of the spectra, the voltage has LEAST_POWER of its power within BAND of the resonance frequency; a segment has at
+#: least CYCLES cycles.
 HARMONICS, CYCLES = 10, 4.0
 #: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
@@ -1026,9 +1031,10 @@ class TurnSearch:
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # sufficient for a hysteresis from which the dynamics are chosen; the structure is chosen again behind them
+            # sufficient to choose the dynamics after the hysteresis; with these dynamics the hysteresis structure is
+            # chosen again
             kept = {"like": together.structure} if together.structure is not None else {}
-            # if the samples do not resolve a lag or delay of one sample, they resolve no faster dynamics
+            # if the samples do not resolve a lag or delay of one sample, they do not resolve faster dynamics either
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
         # small loops are less steep than large ones: without a hysteresis, a lag parallel to the modes would fit this
@@ -1036,11 +1042,11 @@ class TurnSearch:
         start = self.choose(self.voltage, zeros=False).part
         with contextlib.suppress(ParameterError, IdentificationError):
             if start.modes:
-                # a structure that was chosen behind other modes is the right one here too
+                # the structure that was chosen with other modes is also right with these modes
                 like = found[-1].structure if len(found) > 1 else None
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, self.creeps), **kept), like=like)
             elif not found:
-                # a lag of the spectra alone would contain the phase of the loops
+                # a lag fitted to the spectra alone would include the phase lag of the loops
                 together = self.fit(SEARCHED, linear=tuple(part for part in self.parts if part != "modes"))
                 kept = {"like": together.structure} if together.structure is not None else {}
                 found.append(self.fit(SETTLED, linear=Known(together.linear_part), **kept))
@@ -1064,7 +1070,7 @@ class TurnSearch:
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
     def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearStage:
-        """Choose the dynamics between their input, shape (N,), and the measured displacement."""
+        """Choose the dynamics between ``moved``, their input of shape (N,), and the measured displacement."""
         how: dict[str, Any] = dict(parts=self.parts, late=late, zeros=zeros, accepted=self.excited)
         return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how)
 
@@ -1080,7 +1086,7 @@ class TurnSearch:
             return True
         # a window over the whole recording would suppress the samples at its ends
         length = int(len(v) / max(1.0, min(float(LENGTHS), cycles / CYCLES)))
-        # four lines of the spectrum within the band
+        # at least four lines of the spectrum within the band
         length = min(max(length, math.ceil(2.0 / (BAND * frequency * self.sample_time))), len(v))
         window = np.hanning(length)
         near = np.abs(np.fft.rfftfreq(length, self.sample_time) / frequency - 1.0) < BAND
@@ -1094,8 +1100,8 @@ class TurnSearch:
     def settled(self, fit: HammersteinFit, sharp: bool = False, like=None) -> list[HammersteinFit]:
         """Alternately choose the dynamics after the hysteresis and refit the hysteresis and its creep.
 
-        With ``sharp``, only if there is a resonance that the present fit cannot represent. The first iteration chooses
-        the structure of the hysteresis, unless it is ``like`` that of another fit.
+        With ``sharp``, do this only if there is a resonance that the present fit cannot represent. The first iteration
+        chooses the structure of the hysteresis anew, unless ``like`` gives the structure of another fit.
         """
         found: list[HammersteinFit] = []
         stage = None
@@ -1123,9 +1129,9 @@ class TurnSearch:
 
 
 def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, float]:
-    """Return the deviations of a stage, with its difference from the stage behind the hysteresis of the turn before.
+    """Return the deviations of a stage, enlarged by its differences from the stage of the previous iteration.
 
-    The dynamics follow the errors of the hysteresis, which the scatter of the response does not show.
+    Errors of the hysteresis change the identified dynamics, but are not visible in the scatter of the response.
     """
     earlier = {} if before is None else before.numbers
     return {
@@ -1135,12 +1141,12 @@ def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, f
     }
 
 
-#: A mode lies at a bound of its search within this fraction.
+#: A value within this fraction of a bound of its search counts as at the bound.
 AT_BOUND = 0.01
 
 
 def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
-    """Return a sentence for each mode whose damping or frequency ended where its search ends."""
+    """Return a sentence for each mode whose damping or frequency ended at a bound of its search."""
     found = []
     for mode in part.modes if part is not None else ():
         ends = [("damping", mode.damping, end) for end in DAMPING_RANGE]
@@ -1156,10 +1162,10 @@ def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
 
 
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
-    """Return the model chain with the dynamics and the rate of the fast recording, and the gain of small movements.
+    """Return ``chain`` with dynamics and sample rate of the fast recording, and the gain of small movements.
 
-    Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would fit
-    this difference instead of the dynamics.
+    Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would
+    represent this difference instead of the dynamics.
     """
     if not chain.invertible:
         raise IdentificationError(

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations of a frequency-response analyser, and their periods in a recording.
+"""Excitations of a frequency-response analyser, and the periods of such excitations in a recording.
 
-A multisine of random phases excites odd harmonics, except for one in each group, which is omitted at random. It shows
+A multisine of random phases excites the odd harmonics, except one in each group, which is omitted at random. It shows
 the nonlinear response of an axis: even distortion appears on the even lines, odd distortion on the omitted odd lines
-[1]_. A stepped sine shows the distortion as harmonics; with a noise excitation, distortion and noise cannot be
+[1]_. With a stepped sine, distortion appears as harmonics; with a noise excitation, distortion and noise cannot be
 separated.
 
 References
@@ -34,9 +34,9 @@ from hysteresis_ros.files import read_json
 
 #: One odd harmonic of each group of this size is omitted.
 GROUP = 4
-#: Default number of samples per period, and least number of samples of a block of a stepped sine.
+#: Default number of samples per period, and smallest number of samples of a block of a stepped sine.
 PERIOD, STEP = 2000, 200
-#: Highest frequency by default, as a fraction of the sample rate.
+#: Default of the highest frequency, as a fraction of the sample rate.
 HIGHEST = 0.48
 #: Least number of lines of a multisine, least number of samples per cycle of a stepped sine, default number of noise
 #: segments.
@@ -45,7 +45,7 @@ LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
 MOST_SAMPLES = 10**12
 #: Points at which each loop can be excited; the first is the default.
 PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
-#: Noise is limited to this many standard deviations.
+#: Noise is limited to this number of standard deviations.
 CUT_OFF = 3.0
 
 
@@ -96,13 +96,13 @@ class Plan:
     settle: int
     periods: int
     realisations: int
-    #: Number of samples of a period of a multisine; of each block of a stepped sine; of a segment and of the whole
-    #: excitation, for noise.
+    #: Numbers of samples. Multisine: of a period; stepped sine: of each block; noise: of a segment and of the whole
+    #: excitation.
     samples: tuple[int, ...]
-    #: Excited harmonics of a multisine; cycles per block of each frequency of a stepped sine; first and last line of
-    #: the segments of noise.
+    #: Multisine: excited harmonics; stepped sine: cycles per block of each frequency; noise: first and last line of the
+    #: segments.
     lines: tuple[int, ...] = field(default=())
-    #: loop, at: ``open`` or ``closed``, and the point of excitation: ``voltage``, ``command`` or ``reference``.
+    #: loop, at: ``open`` or ``closed``; and the excited point: ``voltage``, ``command`` or ``reference``.
     loop: str = "open"
     at: str = "voltage"
 
@@ -120,7 +120,7 @@ class Plan:
 
     @classmethod
     def from_text(cls, text: str) -> Plan:
-        """Return the plan of a text from :attr:`text`."""
+        """Return the plan from a text that :attr:`text` has returned."""
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
             raise ValueError("not the plan of an excitation")
@@ -144,12 +144,12 @@ class Plan:
         return least > 0 and forms.get(str(self.kind), False) and self.at in PLACES.get(str(self.loop), ())
 
 
-#: ``shape(frequencies)``: factor of the amplitude at each frequency [Hz].
+#: ``shape(frequencies)`` returns the factor of the amplitude at each frequency [Hz].
 Shape = Callable[[np.ndarray], np.ndarray]
 
 
 def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tuple[np.ndarray, Plan]:
-    """Return an excitation, with peak 1 if no shape is given, and its plan, which begins at sample 0.
+    """Return an excitation and its plan, which begins at sample 0; without a shape, the peak is 1.
 
     Units: ``rate`` [Hz], ``shape`` [Hz].
     """
@@ -159,7 +159,7 @@ def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tu
 
 
 def uniform(seed: int, count: int) -> np.ndarray:
-    """Return random numbers in 0 … 1, which are the same in every version of NumPy."""
+    """Return random numbers in 0 … 1 that are the same in every version of NumPy."""
     return (np.random.PCG64(seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 
@@ -193,7 +193,7 @@ def _too_slow(low: float, seconds: float, what: str) -> ConfigurationError:
 
 
 def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
-    """Return consecutive realisations, each of the same number of whole periods."""
+    """Return consecutive realisations, each with the same number of whole periods."""
     whole = asked.realisations * (asked.settle + asked.periods)
     N = round(rate * (asked.period or (asked.duration / whole if asked.duration else PERIOD / rate)))
     low, high = asked.low or rate / N, asked.high or HIGHEST * rate
@@ -230,7 +230,7 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
         raise _too_slow(low, block / rate, "a block")
     cycles, samples = [], []
     for frequency in np.geomspace(low, high, asked.points):
-        # a whole number of cycles per block: the length with the nearest frequency, no shorter than requested
+        # whole cycles per block: of the lengths from the requested one on, that with the nearest frequency
         least = max(block, round(rate / frequency))
         lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
         turns = np.maximum(np.round(frequency * lengths / rate), 1)
@@ -247,17 +247,17 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
 
 
 def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
-    """Return Gaussian noise of a band, limited to :data:`CUT_OFF` standard deviations."""
+    """Return Gaussian noise in a band, limited to :data:`CUT_OFF` standard deviations."""
     N = round(rate * (asked.duration or SEGMENTS * (asked.period or PERIOD / rate) / 2.0))
     segment = min(round(rate * (asked.period or 2.0 * N / rate / SEGMENTS)), N)
     low, high = asked.low or 2.0 * rate / segment, asked.high or HIGHEST * rate
     if low < (1.0 - 1e-9) * rate / segment:
         raise _too_slow(low, segment / rate, "a segment")
-    # Box-Muller transform of numbers that are the same everywhere
+    # Box-Muller transform of random numbers that are the same on every machine
     draws = uniform(asked.seed, 2 * N)
     values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
     frequencies = np.fft.rfftfreq(N, 1.0 / rate)
-    # one more line on each side, because of the window
+    # one more line on each side, because the window spreads each line
     inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
     inside[0] = False
     values = np.fft.irfft(np.fft.rfft(values) * inside, N)
@@ -272,9 +272,9 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
 def orthogonal_multisines(inputs: int, period: int, lines, realisations: int, seed: int = 1) -> np.ndarray:
     """Return periods of simultaneous multisines for all inputs, shape (realisations, period, inputs), with peak 1.
 
-    Realisations come in groups of ``inputs``. Within a group the phases of input i in realisation r are those of the
-    group plus 2π i r/inputs, so that the spectra of all inputs at a line are an orthogonal matrix; each group has
-    random phases of its own [1]_ (section 2.7.2).
+    Realisations come in groups of ``inputs``. Within a group the phases of input i in realisation r are the random
+    phases of the group plus 2π i r/inputs, so at each line the spectra of all inputs form an orthogonal matrix. Each
+    group has random phases of its own [1]_ (section 2.7.2).
 
     Units: ``period`` [samples], ``lines`` [harmonics of the period].
     """

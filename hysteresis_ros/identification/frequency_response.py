@@ -7,24 +7,24 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Measured frequency responses: estimates with uncertainty and levels of nonlinear distortion, and their files.
+"""Measured frequency responses: estimates, their uncertainty, levels of nonlinear distortion, and files of them.
 
 Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's method
 accepts any input; periodic multisines are averaged over periods and realisations.
 
-With several inputs and outputs (:func:`response_matrix`), each line needs as many independent experiments as there are
-inputs. These are either orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal
-matrix), or R ≥ m realisations with random phases at each input. Differences between the periods of a realisation are
-noise; differences between realisations are noise and nonlinear distortion. Both are stored as covariances of the
-outputs, because a disturbance of one sensor also affects its neighbours.
+With several inputs and outputs (:func:`response_matrix`), m inputs need at least m independent experiments at each
+line. These are either orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal matrix),
+or R ≥ m realisations with random phases at each input. Differences between the periods of a realisation are noise;
+differences between realisations are noise and nonlinear distortion. Both are stored as covariances of the outputs,
+because a disturbance of one sensor also affects its neighbours.
 
-In a closed loop the noise of the output is also in the input, which biases S_yu S_uu⁻¹ towards the inverse of the
-controller. S_ye S_ue⁻¹ with the external excitation e, which is uncorrelated with the noise, has no such bias (indirect
-method): all functions take e as ``excitation``. The residual is y - G u in both cases.
+In a closed loop the noise of the output is fed back to the input, which biases S_yu S_uu⁻¹ towards the inverse of the
+controller. S_ye S_ue⁻¹ has no such bias, because the external excitation e is uncorrelated with the noise (indirect
+method): all functions accept e as ``excitation``. In both cases the residual is y - G u.
 
-Odd and even distortion are separated from noise by lines that are not excited. A level is stated in the unit of the
-response, as the error of the response that would have the same effect on the output. In a closed loop the input also
-has content at these lines; the linear response to it is subtracted first.
+Odd and even distortion and noise are separated at lines that are not excited. A distortion level is stated in the unit
+of the response, as the error of the response that would have the same effect on the output. In a closed loop the input
+also has content at these lines; the linear response to this content is subtracted first.
 
 Files: NPZ, which can be read back completely, and CSV and YAML for other programs.
 
@@ -53,9 +53,9 @@ from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array
 from hysteresis_ros.identification.excitations import KINDS, Plan
 from hysteresis_ros.units import UNITS
 
-#: Lines of an input below this fraction of its strongest line count as not excited.
+#: Lines of an input whose amplitude is below this fraction of the input's strongest line count as not excited.
 EXCITED = 1e-3
-#: Coherence below which a response is hardly better than noise.
+#: Coherence below which an estimated response is considered unreliable.
 POOR_COHERENCE = 0.5
 
 
@@ -66,8 +66,8 @@ class FrequencyResponse:
     frequency: np.ndarray  #: shape (F,) [Hz]
     response: np.ndarray  #: shape (F, n_y, n_u); Complex, output unit per input unit.
     sample_time: float  #: Sample time of the data [s].
-    #: shape (F, n_y, n_u); Noise and nonlinear distortion together, [(output unit/input unit)²]; None where it cannot
-    #: be estimated.
+    #: shape (F, n_y, n_u); Variance of the response by noise and nonlinear distortion together, [(output unit/input
+    #: unit)²]; None if it cannot be estimated.
     total_variance: np.ndarray | None = None
     noise_variance: np.ndarray | None = None  #: shape (F, n_y, n_u); Noise alone, from the differences of the periods.
     #: shape (F, n_y); Fraction of each output's power that the inputs explain linearly.
@@ -75,7 +75,7 @@ class FrequencyResponse:
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
     warnings: tuple[str, ...] = ()  #: Poor coherence, few averages …
-    #: Complex degrees of freedom of the total variance, or of the noise variance if the total variance is not known.
+    #: Complex degrees of freedom of the total variance; if the total variance is not known, of the noise variance.
     degrees: float | None = None
 
     def band(self, low: float, high: float) -> FrequencyResponse:
@@ -92,7 +92,7 @@ class FrequencyResponse:
         return replace(self, **kept, warnings=(*others, *_poor_coherence(kept["coherence"])))
 
     def radius(self, probability: float = 0.95) -> np.ndarray:
-        """Return the radius of the circle around each entry that contains its true value, shape (F, n_y, n_u).
+        """Return the radius of the circle around each entry that contains the true value with this probability.
 
         |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance of ν complex degrees of freedom [1]_.
         """
@@ -198,9 +198,9 @@ def multisine_response(
 ) -> FrequencyResponse:
     """Average a periodic multisine over its periods and realisations (steady state, whole periods).
 
-    Within each realisation the periods are averaged, and their differences give the noise; over the realisations the
-    response is the least-squares solution of Y = G U at each line, whose residual is noise and nonlinear distortion
-    together. With one realisation per input there is no residual, and the total variance is None.
+    Within each realisation the periods are averaged, and their differences give the noise. At each line the response is
+    the least-squares solution of Y = G U over the realisations; the residual of this solution is noise and nonlinear
+    distortion together. With one realisation per input there is no residual, and the total variance is None.
 
     Units: ``sample_time`` [s].
     """
@@ -232,7 +232,7 @@ def multisine_response(
 
 
 def averaged(frequency, U, Y, E):
-    """Return response, total variance and variance of the noise from spectra of periods; None where not known.
+    """Return response, total variance and noise variance from spectra of periods; an unknown variance is None.
 
     Units: ``frequency`` [Hz].
     """
@@ -249,7 +249,7 @@ def averaged(frequency, U, Y, E):
     spread = np.einsum("fji,fjk,fki->fi", inverse.conj(), Em @ Eh, inverse).real
     noise = total = None
     if periods > 1:
-        # scatter of the output caused by scatter of the input is not noise of the output
+        # variations of the output that follow from variations of the input are not noise of the output
         dU, dY = (part - part.mean(axis=1, keepdims=True) for part in (U, Y))
         rest = dY - np.einsum("fij,rpjf->rpif", response, dU)
         per_line = np.sum(np.abs(rest) ** 2, axis=(0, 1)).T / (realisations * (periods - 1) * periods)
@@ -262,7 +262,7 @@ def averaged(frequency, U, Y, E):
 
 
 def _degrees(realisations: int, periods: int, inputs: int) -> float | None:
-    """Return the complex degrees of freedom of the total variance, or else of the noise variance."""
+    """Return the complex degrees of freedom of the total variance; if it is not known, of the noise variance."""
     if realisations > inputs:
         return float(realisations - inputs)
     return float(realisations * (periods - 1)) if periods > 1 else None
@@ -275,7 +275,7 @@ def _poor_coherence(coherence):
 
 
 def _effective_averages(count, segment, step, window):
-    """Return the number of independent segments equivalent to ``count`` overlapping ones (Welch, eq. 16)."""
+    """Return how many independent segments give the variance of ``count`` overlapping ones (Welch, eq. 16)."""
     shape = scipy.signal.get_window(window, segment)
     correlation = (shape[step:] @ shape[: segment - step] / (shape @ shape)) ** 2
     return count / (1.0 + 2.0 * correlation * (count - 1) / count)
@@ -308,8 +308,8 @@ def _refuse_constant(u):
             raise DataError("constant", f"input {i} is constant; a frequency response needs a varying input")
 
 
-#: The inputs count as correlated if the condition number of their spectra at a line exceeds this value; the condition
-#: number multiplies the noise in the direction that is excited least.
+#: Largest condition number of the inputs' spectra at a line; above it the inputs count as correlated. The condition
+#: number is the factor by which the noise is amplified in the direction that is excited least.
 MOST_CONDITION = 1e3
 
 
@@ -318,15 +318,15 @@ class ResponseMatrix:
     """The response from all inputs to all outputs at the excited lines, with covariances of noise and distortion."""
 
     response: FrequencyResponse  #: Response, shape (F, q, m), with the variances of its entries.
-    #: shape (F, q, q), complex; covariance of the noise in the output spectrum of a realisation, averaged over its
-    #: periods [m²]; None if there is only one period.
+    #: shape (F, q, q), complex; covariance of the noise in the output spectrum of one realisation, averaged over the
+    #: periods of the realisation [m²]; None if there is only one period.
     noise: np.ndarray | None
-    #: shape (F, q, q), complex; covariance of noise and nonlinear distortion together; None with m realisations.
+    #: shape (F, q, q), complex; covariance of noise and nonlinear distortion together; None with only m realisations.
     total: np.ndarray | None
     condition: np.ndarray  #: shape (F,); Condition number of the inputs' spectra over the realisations.
 
     def level(self, covariance) -> np.ndarray:
-        """Return the RMS value [m] in the outputs, shape (q,), of a covariance over the lines."""
+        """Return the RMS value [m] of each output, shape (q,), for a covariance summed over the lines."""
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:
@@ -379,13 +379,13 @@ def response_matrix(u, y, sample_time: float, period: int, input_unit: str = "V"
 
 
 def _require_independent(inputs, sample_time: float) -> None:
-    """Refuse inputs whose spectra are nearly dependent at a line that is excited."""
+    """Refuse inputs whose spectra are nearly linearly dependent at an excited line."""
     N = inputs.shape[3]
     U = np.fft.rfft(inputs.mean(axis=1), axis=2)[..., 1 : (N + 1) // 2].transpose(2, 1, 0) / N
     strength = np.abs(U).max(axis=(1, 2))
     if not strength.max() > 0.0:
         raise DataError("constant", "the inputs are constant; a frequency response needs varying inputs")
-    # only the lines of the response, because the others contain only rounding errors
+    # only the excited lines count, because the others contain only rounding errors
     excited = strength > 1e-3 * strength.max()
     condition = np.linalg.cond(U[excited])
     worst = int(np.argmax(condition))
@@ -398,15 +398,15 @@ def _require_independent(inputs, sample_time: float) -> None:
         )
 
 
-#: Number of detection lines over which a level is averaged.
+#: Number of nearest detection lines over which a distortion level is averaged.
 NEAREST = 8
-#: Highest evaluated harmonic of a sine; higher ones contain more noise than distortion.
+#: Highest evaluated harmonic of a sine; higher harmonics contain more noise than distortion.
 HARMONICS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """RMS levels at the excited lines for one realisation averaged over its periods, each shape (F,)."""
+    """RMS levels at the excited lines, for one realisation averaged over its periods, each of shape (F,)."""
 
     noise: np.ndarray
     odd: np.ndarray  #: odd, even: Levels after subtraction of the noise, at least 0.
@@ -414,9 +414,10 @@ class Distortion:
 
 
 def detected(U, Y, harmonics, response) -> Distortion:
-    """Return the levels of a multisine on odd lines, some of which are omitted.
+    """Return noise and distortion levels of a multisine on odd lines, some of which are omitted (detection lines).
 
-    A level is NaN without omitted lines, or if even lines are excited too: distortion then has no lines of its own.
+    A distortion level is NaN if no lines are omitted, or if even lines are excited too: no line then shows only
+    distortion.
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -434,7 +435,7 @@ def detected(U, Y, harmonics, response) -> Distortion:
 
 
 def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float, float]:
-    """Return the levels (noise, odd, even) of a sine, from its harmonics."""
+    """Return the levels of noise, odd and even distortion of a sine, from its harmonics."""
     size = abs(U[:, cycles].mean()) ** 2
     places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
     # in a closed loop the input also has harmonics, but only the response at the sine itself is known
@@ -445,7 +446,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
 
 
 def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
-    """Return |mean over the periods|² of each line, averaged over the realisations, and its noise part."""
+    """Return |mean over the periods|² of each line, averaged over the realisations, and the noise in it."""
     periods = rest.shape[1]
     power = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
     noise = np.mean(np.var(rest, axis=1, ddof=1), axis=0) / periods
@@ -453,7 +454,7 @@ def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
 
 
 def near_level(harmonics, seen, clear) -> np.ndarray:
-    """Return the RMS of the significant levels at the detection lines nearest to each excited line."""
+    """Return at each excited line the RMS of the significant levels at the nearest detection lines."""
     if not seen.size:
         return np.full(harmonics.size, np.nan)
     count = min(NEAREST, seen.size)
@@ -462,11 +463,12 @@ def near_level(harmonics, seen, clear) -> np.ndarray:
     return np.sqrt(np.maximum((total[first + count] - total[first]) / count, 0.0))
 
 
-#: Smallest signal-to-noise ratio of the response at half of the lines [dB].
+#: Smallest accepted median, over the lines, of the signal-to-noise ratio of the response [dB].
 LEAST_RATIO = 6.0
-#: Two sections of a signal count as the same period when they differ by less than this fraction of its RMS.
+#: Two sections of a signal are its periods if the median of their difference is below this fraction of the standard
+#: deviation of the signal.
 SAME = 0.03
-#: Lines of a recorded excitation below this fraction of its strongest line come from late samples or rounding.
+#: Lines of a recorded excitation below this fraction of its strongest line are attributed to late samples or rounding.
 LINE = 0.03
 
 
@@ -480,7 +482,7 @@ class Analysis:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the response to the standard deviation of its noise [dB], median of the lines."""
+        """Ratio of the response to the standard deviation of its noise [dB]: median over the lines."""
         found = self.response
         variance = found.total_variance if found.noise_variance is None else found.noise_variance
         if variance is None:
@@ -521,7 +523,7 @@ def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     found = multisine_response(tables[0], tables[1], sample_time, input_unit=unit, excitation=excitation)
     harmonics = np.rint(found.frequency * N * sample_time).astype(int)
     if plan.lines:
-        # quantisation in a loop may excite additional lines
+        # quantisation in a closed loop may excite lines that the plan does not contain
         planned = np.isin(harmonics, plan.lines)
         found = _at(found, planned)
         harmonics = harmonics[planned]
@@ -566,7 +568,7 @@ def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
-    # error of the response: variance of the Hann window (a third of a line squared) times the curvature
+    # error of the response by the window: variance of the Hann window (a third of a line squared) times the curvature
     bent = np.abs(np.diff(found.single, 2)) / 6.0
     blurred = bent > found.radius()[1:-1, 0, 0]
     if blurred.any():
@@ -613,7 +615,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
             f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must contain at least two "
             "periods of at least 16 samples"
         )
-    # with enough periods the first one is discarded for settling
+    # if there are enough periods, the first one is discarded, because the system settles during it
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
     lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
@@ -621,7 +623,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
 
 
 def _repeats(e) -> int | None:
-    """Return the period of a signal from its middle on [samples]; None when it does not repeat."""
+    """Return the period [samples] of a signal without its first quarter; None if it does not repeat."""
     tail = e[e.size // 4 :] - np.mean(e[e.size // 4 :])
     correlation = np.fft.irfft(np.abs(np.fft.rfft(tail, 2 * tail.size)) ** 2)[: tail.size // 2 + 1]
     correlation = correlation / (tail.size - np.arange(correlation.size))
@@ -669,7 +671,7 @@ def write_response_file(path, arrays: dict[str, Any], table: dict[str, np.ndarra
 
 @contextlib.contextmanager
 def reading_response(path, missing: str, origin: str) -> Iterator[None]:
-    """Refuse a file of a response that does not exist, or has ``missing``, with the command that writes such a file."""
+    """Raise an error for a response file that does not exist or has ``missing``; name the command that writes one."""
     try:
         yield
     except FileNotFoundError:
@@ -756,7 +758,7 @@ def response_columns(found: Analysis) -> dict[str, np.ndarray]:
 
 
 def _arrays(found: Analysis, columns: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return the arrays of an NPZ file, from which :func:`load_response` reads the response."""
+    """Return the arrays of an NPZ file from which :func:`load_response` restores the response."""
     response = found.response
     arrays: dict[str, Any] = {"kind": np.array(found.kind), "response": response.single}
     arrays |= {name: np.asarray(getattr(response, name)) for name in NEEDED if name not in arrays}

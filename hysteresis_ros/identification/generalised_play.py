@@ -9,10 +9,10 @@
 
 """Generalised, rate-dependent plays from data, together with lag, delay and creep.
 
-Four structures compete: plain plays, plays whose thresholds grow with the speed, plays between two envelopes, and both.
-The linear part is searched with plain plays and refined with each structure; the weights follow by constrained least
-squares. A structure with more freedom is chosen only if it predicts held-out blocks of the recording better
-(:func:`.hammerstein.survivor`).
+Four structures are compared: plain plays, plays whose thresholds grow with the speed, plays between two envelopes, and
+plays with both. The linear part is searched with plain plays and refined with each structure; the weights follow by
+constrained least squares. A structure with more freedom is chosen only if it predicts held-out blocks of the recording
+better (:func:`.hammerstein.survivor`).
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ from hysteresis_ros.models.hysteresis.generalised_play import (
 from hysteresis_ros.recordings.loops import turning_points
 
 PLAYS = 12
-#: Searched parameters in addition to the weights, for each kind of freedom; upper limit of the rate, relative to the
-#: time between reversals.
+#: Parameters searched in addition to the weights, for each kind of freedom; and upper limit of the rate, relative to
+#: the time between reversals.
 FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
 LONGEST_RATE = 0.1
-#: Initial value and range of the common bend of both envelopes, and of their difference.
+#: Initial value and range of the common bend of both envelopes, and of the difference between their bends.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
-#: Speeds count as different if their ratio exceeds this factor. Only swings over more than this fraction of the range
-#: are compared.
+#: Speeds count as different if their ratio exceeds DIFFERENT. Only swings over more than the fraction LEAST_SWING of
+#: the range are compared.
 DIFFERENT, LEAST_SWING = 2.0, 0.1
-#: Smallest slope without hysteresis, as a fraction of the total slope.
+#: Smallest slope of the part without hysteresis, as a fraction of the total slope.
 LEAST_SLOPE = 1e-6
 
 
@@ -90,7 +90,7 @@ def fit_generalised_play(
 
 
 def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) -> GeneralisedPlays:
-    """Return the fit of the named structure, or of the one that predicts held-out blocks best."""
+    """Return the fit of the named structure, or of the structure that predicts held-out blocks best."""
     plain = without_drift(lambda data: GeneralisedPlays(data, play_count).fit(linear, progress), data)
     if freedom == "none":
         return plain
@@ -107,9 +107,11 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 
 
 def competitors(before, progress) -> list[GeneralisedPlays]:
-    """Return fits with envelopes and, if speeds differ, growing thresholds, with the linear structure of another fit.
+    """Return fits with envelopes and, if speeds differ, with growing thresholds.
 
-    Fits whose inverse may amplify errors are omitted.
+    The structure of their linear part is that of the fit ``before``.
+
+    Fits whose inverse could amplify errors are omitted.
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
     fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
@@ -117,7 +119,7 @@ def competitors(before, progress) -> list[GeneralisedPlays]:
 
 
 def speeds_differ(data: Condensed) -> bool:
-    """Return whether swings of equal size have different speeds; otherwise growing thresholds look like a lag."""
+    """Return whether swings of equal size differ in speed; if not, growing thresholds cannot be told from a lag."""
     turns = turning_points(data.voltage)
     swings = np.abs(np.diff(data.voltage[turns]))
     speeds = (swings / np.diff(turns))[swings > LEAST_SWING * data.voltage_range]
@@ -138,7 +140,7 @@ class GeneralisedPlays(PlayFit):
         self.block: GeneralisedPlayHysteresis | None = None
 
     def shaped(self, shape, weights, slope: float, offset: float = 0.0) -> GeneralisedPlayParameters:
-        """Return parameters of a shape.
+        """Return the parameters of the block for a given shape.
 
         Units: ``weights`` [m/V], ``slope`` [m/V], ``offset`` [m].
         """
@@ -153,7 +155,7 @@ class GeneralisedPlays(PlayFit):
         )
 
     def shaped_numbers(self, shape) -> dict[str, float]:
-        """Return the parameters of the block that depend on the shape: bends, rate [s] and memory [s]."""
+        """Return the parameters of the block that follow from the shape: bends, rate [s] and memory [s]."""
         bend, spread, rate = (shape.get(name, 0.0) for name in ("bend", "spread", "rate"))
         return {
             "rate": float(rate),
@@ -163,10 +165,10 @@ class GeneralisedPlays(PlayFit):
         }
 
     def _block(self, shape) -> GeneralisedPlayHysteresis:
-        """Return the block of a shape with its plays at rest, and weights of 1.
+        """Return the block for a given shape, with its plays at rest and weights of 1.
 
-        A search asks for hundreds of shapes, and the check of all parameters takes longer than the plays: the block is
-        checked once, and packed again for each shape.
+        A search uses hundreds of shapes, and the check of all parameters takes longer than the plays. The block is
+        therefore checked once, and only packed again for each shape.
         """
         if self.block is None:
             self.block = GeneralisedPlayHysteresis(
@@ -191,7 +193,7 @@ class GeneralisedPlays(PlayFit):
         return found
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet."""
+        """Return an unfitted model of the same structure for other data."""
         other = GeneralisedPlays(data, self.play_count, self.names)
         other.numbers, other.guess = dict(self.numbers), dict(self.found.values)
         return other
@@ -203,7 +205,7 @@ class GeneralisedPlays(PlayFit):
         found = self.shaped(self.shape, self.weights[1:], slope)
         moving = self.weights[1:] > 1e-9 * self.weights.sum()
         moving[0] = True
-        # the plays start between their envelopes, the regressors at zero
+        # the plays start between their envelopes, but the regressors start at zero
         rest = float(np.sum(self.weights[1:])) * self._middle(found)
         found = replace(
             found,

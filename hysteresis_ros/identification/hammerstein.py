@@ -9,15 +9,16 @@
 
 """Hammerstein models: hysteresis, creep, lag and delay fitted together, structures compared on held-out data.
 
-Lag and creep widen every loop. If they were attributed to the hysteresis, predictions at other speeds and amplitudes
-would be wrong. They are therefore separated: for each trial of the few parameters of the linear part, the many weights
-of the hysteresis follow from constrained linear least squares (variable projection), and the residual decides between
-the trials. Lag, delay and creep are accepted one after the other if they reduce the residual by
-:data:`.thresholds.LINEAR_PART`. Then outliers are removed, and the residual is computed with the kernels of the nodes.
+Lag and creep widen every loop. If the hysteresis had to explain this, predictions at other speeds and amplitudes
+would be wrong, so lag and creep are fitted separately: for each trial of the few parameters of the linear part, the
+many weights of the hysteresis follow from constrained linear least squares (variable projection), and the trial with
+the smallest residual is chosen. Lag, delay and creep are accepted one after the other, each if it reduces the residual
+by :data:`.thresholds.LINEAR_PART`. Then outliers are removed, and the residual is computed with the kernels of the
+nodes.
 
 Structures with more freedom are compared on held-out data: each part of a recording is predicted from the rest of it. A
 part consists of several intervals spread over the recording, because a single interval could be the only one with large
-loops, and the comparison should not test extrapolation.
+loops, and its prediction would then be an extrapolation.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ from hysteresis_ros.recordings.loops import turning_points
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
-#: Step of the derivatives, as a fraction of a parameter, and the smallest one as a fraction of its range.
+#: Step of the derivatives as a fraction of a parameter, and smallest step as a fraction of the parameter's range.
 RELATIVE_STEP, SMALLEST_STEP = 1e-3, 1e-6
 #: Singular values of the sensitivities below this fraction of the largest are rounding errors.
 SMALLEST_VALUE = 3e-8
@@ -67,7 +68,7 @@ SMALLEST_VALUE = 3e-8
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HammersteinFit(PlantModel):
-    """A plant identified with its linear part, with the figures of the fit."""
+    """A plant identified together with its linear part, and the figures of the fit."""
 
     linear_part: LinearPart
     rmse: float  #: RMS residual of the fit [m], including outliers.
@@ -77,13 +78,14 @@ class HammersteinFit(PlantModel):
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the optimiser reached its limit of evaluations, and this is the best point found.
-    skipped: int = 0  #: First samples of the recording that the fit omits.
+    skipped: int = 0  #: Number of samples at the beginning of the recording that the fit omits.
     drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
-    #: Standard deviation of the drift [m/s], also where none is found: a smaller drift cannot be told from creep.
+    #: Standard deviation of the drift [m/s], even if no drift is found: drifts below it cannot be distinguished from
+    #: creep.
     drift_deviation: float = math.nan
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
-    kept_rmse: float = math.nan  #: RMS residual of the fit without outliers [m], comparable with the held-out one.
-    structure: Any = None  #: Chosen structure, for a repeated fit.
+    kept_rmse: float = math.nan  #: RMS residual without outliers [m]; comparable with the held-out error.
+    structure: Any = None  #: Structure that was chosen, for use in a repeated fit.
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -92,7 +94,7 @@ class HammersteinFit(PlantModel):
 
 
 def search_linear_part(search: PartSearch, linear, guess=None):
-    """Accept lag, creep and delay one after the other, each where it lowers the residual.
+    """Accept lag, creep and delay one after the other, each if it lowers the residual enough.
 
     ``guess`` holds values from which the searches start, by name.
     """
@@ -101,7 +103,7 @@ def search_linear_part(search: PartSearch, linear, guess=None):
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
-    # a remanent actuator was at rest before; for an actuator at rest at 0 V, creep also starts at zero
+    # a remanent actuator had rested before the recording; for an actuator at rest at 0 V, creep starts at zero, too
     settled = known.settled or bool(data.history)
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)
@@ -111,8 +113,8 @@ def search_linear_part(search: PartSearch, linear, guess=None):
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
-        # start at rest at 0 V, as nodes do, unless rest under the first voltage fits clearly better; assume an input
-        # that is linear between the samples, unless a held voltage fits clearly better
+        # start at rest at 0 V, as nodes do, unless a start at rest under the first voltage fits clearly better; assume
+        # an input that is linear between the samples, unless a held input fits clearly better
         bases, threshold = [base], LINEAR_PART
         if part == "lag" and not base.hold:
             bases.append(held)
@@ -131,12 +133,12 @@ def search_linear_part(search: PartSearch, linear, guess=None):
 
 
 def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
-    """Replace lag and delay by one of them if both together are hardly better."""
+    """Replace lag and delay by only one of them if both together fit hardly better."""
     others = [part for part in kept if part not in ("lag", "delay")]
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
-    # stages usually have a lag: a delay must be visible, and both together must be better than either
+    # stages usually have a lag: a delay must be clearly visible, and both together must be better than either alone
     as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
     if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
         return [*others, "delay"], _less_certain(delayed, found)
@@ -146,7 +148,7 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
 
 
 def _less_certain(found: PartTrial, both: PartTrial) -> PartTrial:
-    """Return a trial of a lag or a delay alone; its uncertainty includes its difference from a trial of both."""
+    """Return a trial of lag or delay alone; its deviations include the differences from a trial with both."""
     deviations = dict(found.deviations or {})
     for name in ("lag", "delay"):
         if name in deviations and name in both.values:
@@ -155,7 +157,7 @@ def _less_certain(found: PartTrial, both: PartTrial) -> PartTrial:
 
 
 class PartTrial(NamedTuple):
-    """Best fit with some of the parts: values by name, residual [m], deviations, convergence of the search."""
+    """Best fit with some of the parts: values by name, residual [m], deviations, and whether the search converged."""
 
     values: dict
     residual: np.ndarray
@@ -171,9 +173,9 @@ class PartTrial(NamedTuple):
 class PartSearch:
     """Search for the parameters of the linear part and of the shape, each within its range.
 
-    ``solve(part, shape)`` returns the residual [m] of the best weights, and ``slopes(part, shape, neighbours)`` its
-    differences [m], shape (N, k), towards k neighbouring pairs of part and shape, at the last solved point. Without
-    ``slopes`` the residual is solved at every neighbour.
+    ``solve(part, shape)`` returns the residual [m] with the best weights. ``slopes(part, shape, neighbours)`` returns
+    the changes of this residual [m], shape (N, k), from the last solved point to k neighbours, each a pair of part and
+    shape. Without ``slopes`` the residual is solved for every neighbour.
     """
 
     def __init__(self, solve, data: Condensed, extra: tuple, progress, slopes=None):
@@ -189,7 +191,7 @@ class PartSearch:
         self.calls = 0
 
     def run(self, parts, start: dict, base: LinearPart) -> PartTrial:
-        """Return the best values of the shape and of these parts, from the initial values in ``start``."""
+        """Return the best values of the shape and of the given parts, searched from the initial values in ``start``."""
         from scipy.optimize import least_squares  # imported here because only fits need it
 
         table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
@@ -227,7 +229,7 @@ class PartSearch:
             residual, inside, bounds=(low, low + 1.0), xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS, **how
         )
         values = dict(zip(keys, found.x * scale, strict=True))
-        # a parameter at its bound has no column
+        # a parameter at its bound has no column in the Jacobian
         covariance = parameter_covariance(found.jac, found.fun, truncated=SMALLEST_VALUE, correlated=True)
         deviations = dict(zip(keys, np.sqrt(np.diag(covariance)) * scale, strict=True))
         return PartTrial(values, found.fun * self.data.stroke, deviations, found.status > 0)
@@ -248,12 +250,12 @@ def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
 
-#: Number of samples for the final search of the lag with the blocks of the nodes.
+#: Number of samples for the last search of the lag, which uses the blocks of the nodes.
 RETIMED_ON = 20000
 
 
 def finished(fit, voltage, displacement, sample_time, kept=None, clipped=None) -> HammersteinFit:
-    """Return the result of a fit, with the residual on the recording itself by the kernels of the nodes.
+    """Return the result of a fit; its residual on the recording itself is computed with the kernels of the nodes.
 
     The residual omits samples at which the sensor was ``clipped``, shape (N,) of bool.
 
@@ -288,7 +290,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None, clipped=None) -
     error = error_of(part)
     constant = float(error[used].mean())
     error = (error if clipped is None else np.where(clipped, constant, error))[first:] - constant
-    # constant errors, from the half sample and from the table, belong to the offset
+    # constant errors, from the half sample and from the table, are added to the offset
     chosen: Any = hysteresis.chosen  # the class of the parameters depends on the model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
     own: dict[str, Any] = {hysteresis.type: chosen}
@@ -315,7 +317,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None, clipped=None) -
 
 
 def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
-    """Return the linear part with the lag that fits best with blocks that hold their input for a sample."""
+    """Return the linear part with the lag that fits best if blocks hold their input for a sample."""
     import scipy.optimize  # imported here because only fits need it
 
     low, high = max(part.lag - sample_time, 0.5 * part.lag), part.lag + sample_time
@@ -330,10 +332,10 @@ def robust_fit(
 ) -> tuple[HammersteinFit, Any]:
     """Return the fit without outliers, their number, and the fitted structure.
 
-    ``choose(data)`` finds a structure on blocks of the recording; ``again(before, data, settled)`` fits the same
-    structure without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen
-    anew. ``settled`` is true from the second repetition on, when few outliers are left: the parts of the dynamics then
-    remain as they are.
+    ``choose(data)`` finds a structure on blocks of the recording. ``again(before, data, settled)`` fits the same
+    structure without the outliers, with or without a drift as before; without ``again`` the structure is chosen anew.
+    ``settled`` is true from the second repetition on, when few outliers are left: the structure of the dynamics is then
+    not changed any more.
     """
     structure, repetitions = before, 0
     clipped = clipped_samples(np.asarray(displacement, dtype=float), np.asarray(voltage, dtype=float))
@@ -365,16 +367,16 @@ def robust_fit(
     return found, structure
 
 
-#: Number of held-out parts, and of intervals in each.
+#: Number of held-out parts, and number of intervals in each part.
 PARTS, STRETCHES_OF_A_PART = 5, 4
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
     """Return the errors [m] on held-out samples, shape (number of samples,).
 
-    A first rise from rest is never held out: nothing that comes after it shows what it does.
+    A first rise from rest is never held out, because no later sample shows the same behaviour.
     """
-    data, fit = fit.data, copy(fit)  # what the parts share is kept in the copy, and released with it
+    data, fit = fit.data, copy(fit)  # values common to all parts are cached in the copy, and released with it
     places = np.arange((data.erased or data.first) - data.first, len(data.kept))
     errors = np.zeros(len(data.kept))
     for part in _parts(places, stretches):
@@ -386,9 +388,9 @@ def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
 
 
 def judged_again(fit, before):
-    """Return a fit with the numbers of the fit before, and its own held-out error.
+    """Return a fit with the numbers of the earlier fit, and with its own held-out error.
 
-    That error is computed again where more samples are left out now, or the fit is behind other dynamics.
+    The held-out error is computed again if more samples are outliers now, or the dynamics have changed.
     """
     fit.numbers = {**before.numbers, **fit.numbers}
     fewer = np.count_nonzero(~fit.data.kept) > np.count_nonzero(~before.data.kept)
@@ -398,7 +400,7 @@ def judged_again(fit, before):
 
 
 def _parts(places, stretches: int) -> list[np.ndarray]:
-    """Return the samples of each part."""
+    """Return the samples of each held-out part."""
     found = np.array_split(places, PARTS * stretches)
     return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
@@ -422,7 +424,7 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Th
 
 
 def invalid(fit) -> HysteresisError | None:
-    """Return why the parameters of a fit are no valid model; None if they are valid."""
+    """Return why the parameters of a fit are not a valid model; None if they are valid."""
     try:
         hysteresis_block(fit.parameters(), fit.data.sample_time)
     except (IdentificationError, ParameterError) as error:
@@ -431,7 +433,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters make a valid model; raise the error of the first if no model is valid."""
+    """Return the fits whose parameters form a valid model; if there are none, raise the error of the first fit."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])
@@ -446,7 +448,7 @@ def require_rising(scale: float) -> None:
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, with a drift if it is more than creep, and held-out blocks show the same drift."""
+    """Return ``fit(data)``, with a drift if it is more than creep and held-out blocks show the same drift."""
     still = fit(data)
     if invalid(still) is None and not seen_drift(still).certain:
         return still
@@ -454,7 +456,7 @@ def without_drift(fit, data):
 
 
 def seen_drift(fit) -> Drift:
-    """Return the drift that the residual of a fit shows besides creep."""
+    """Return the drift, in addition to creep, that the residual of a fit shows."""
     output, data = fit.output(), fit.data
     moved = output - data.constants @ fit.constants
     return drift_beside_creep(data, moved, data.counted(data.displacement - output), fit.part.settled)

@@ -8,7 +8,7 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Levenberg and Marquardt's method over normal equations, for fits whose Jacobian is too large to store [1]_.
+"""Levenberg and Marquardt's method with normal equations, for fits whose Jacobian is too large to store [1]_.
 
 References
 ----------
@@ -24,10 +24,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-#: Initial damping, and the damping at which the search ends, relative to the diagonal of the normal matrix.
+#: Initial damping, and damping at which the search ends, relative to the diagonal of the normal matrix.
 DAMPING, MOST_DAMPING = 1e-3, 1e8
-#: A normal matrix costs far more than a trial. Each step therefore tries several dampings, from this fraction of the
-#: last one upwards by this factor, and uses the best.
+#: A normal matrix takes far more time than a trial. Each step therefore tries several dampings, from EASED times the
+#: last damping upwards in factors of RAISED, and uses the best.
 EASED, RAISED = 0.02, 4.0
 LEAST_DAMPING = 1e-10
 
@@ -38,7 +38,7 @@ class Minimum:
 
     parameters: np.ndarray
     cost: float  #: Sum of squares at this point.
-    costs: tuple[float, ...]  #: Sums of squares: at the start, and after each successful step.
+    costs: tuple[float, ...]  #: Sums of squares at the start and after each successful step.
     #: Whether no further step reduces the cost; false: the limit of steps was reached, or the search was stopped.
     converged: bool
 
@@ -55,9 +55,9 @@ def minimise(
 ) -> Minimum:
     """Minimise a sum of squares, given its Gauss-Newton matrix JᵀJ and gradient Jᵀr.
 
-    ``cost`` is infinite where a point cannot be simulated; ``normal`` gives (JᵀJ, Jᵀr) with the residual r = model -
-    data; ``allowed`` moves a point to the nearest allowed one; ``accepted`` receives each successful step and returns
-    whether to continue.
+    ``cost`` returns infinity for points that cannot be simulated. ``normal`` returns (JᵀJ, Jᵀr) with the residual r =
+    model - data. ``allowed`` moves a point to the nearest allowed point. ``accepted`` is called after each successful
+    step and returns whether to continue.
     """
     parameters = np.array(parameters, dtype=float)
     value, damping = cost(parameters), DAMPING

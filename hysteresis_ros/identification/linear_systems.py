@@ -9,14 +9,15 @@
 
 """Linear systems and their exact simulation: state space, transfer functions, and the dynamics after a hysteresis.
 
-An input is held (``zoh``, as a converter does), linear (``linear`` or ``foh``, nearest to a slowly sampled monitor
-signal) or band-limited between its samples (a multisine below the Nyquist frequency, decimated data).
+Between its samples an input is assumed held (``zoh``, as by a converter), linear (``linear`` or ``foh``, closest to a
+slowly sampled monitor signal) or band-limited (a multisine below the Nyquist frequency, decimated data).
 
 *Linear part* of a Hammerstein model (:class:`LinearPart`): creep, a first-order lag, modes, and a delay. The
-displacement is assumed linear between samples, which distinguishes lags shorter than a sample; dynamics identified for
-the held voltage itself (``hold``) are exact for it. The filters act on all columns of regressors together
-(:func:`filtered`), by recursion over the samples: a fifth of the time of a convolution by FFT, because a sample of all
-columns stays in the cache. This makes joint fits of hysteresis and dynamics fast. :func:`undo` is their inverse.
+displacement is assumed linear between samples, so lags shorter than a sample can be distinguished; dynamics that were
+identified for the held voltage itself (``hold``) are exact for it. The filters process all columns of regressors
+together (:func:`filtered`), by recursion over the samples. This takes a fifth of the time of a convolution by FFT,
+because one sample of all columns stays in the cache, and makes joint fits of hysteresis and dynamics fast. :func:`undo`
+inverts the linear part.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Section(NamedTuple):
 
 
 def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
-    """Return the sum of the responses of sections, initially at rest, to each column, shape (N, m)."""
+    """Return the sum of the outputs of sections, initially at rest, for each column, shape (N, m)."""
     columns = np.ascontiguousarray(columns, dtype=float)
     direct = sum(section.b0 for section in sections)
     recursive = [section for section in sections if any(section[1:])]
@@ -58,7 +59,7 @@ def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
         return direct * columns
     if not COMPILED:
         return sum(scipy.signal.lfilter(one[:3], (1.0, *one[3:]), columns, axis=0) for one in sections)
-    # each section without its direct part b0: (c1/z + c2/z²)/(1 + a1/z + a2/z²)
+    # each section minus its direct part b0: (c1/z + c2/z²)/(1 + a1/z + a2/z²)
     rows = np.array([(one.b1 - one.a1 * one.b0, one.b2 - one.a2 * one.b0, one.a1, one.a2) for one in recursive])
     found = np.empty_like(columns)
     state = np.zeros((2 * len(rows), columns.shape[1]))
@@ -68,7 +69,7 @@ def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
 
 
 def run_sections(settings, rows, state, columns, found):
-    """Fill ``found``; ``settings`` holds the direct part, ``state`` two rows for each section."""
+    """Fill ``found`` with filtered columns; ``settings`` holds the direct part, ``state`` two rows for each section."""
     if columns.shape[1] == 1:  # a single column needs no inner loop
         for k in range(columns.shape[0]):
             now = columns[k, 0]
@@ -101,10 +102,10 @@ def run_sections(settings, rows, state, columns, found):
 
 @dataclass(frozen=True)
 class Mode:
-    """A pole or a pair of them; as part of a sum: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²)."""
+    """A real pole or a pole pair; as a term of a sum: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²)."""
 
     frequency: float  #: Natural frequency ω/2π [Hz], undamped.
-    damping: float  #: Damping ratio ζ; below 1 for a pair, 1 for a real pole, negative when unstable.
+    damping: float  #: Damping ratio ζ; below 1 for a pair, 1 for a real pole, negative if unstable.
     #: position, velocity: Numerator in a sum; ``position`` is the fraction of the static displacement that passes
     #: through the mode.
     position: float = 1.0
@@ -125,8 +126,8 @@ class Mode:
 def propagate(A, inputs, initial=None) -> np.ndarray:
     """Return the states of ``x_(k+1) = A x_k + w_k``.
 
-    The recursion runs in the Schur form of A, as one first-order filter per state: as accurate as the plain recursion
-    for poles close to one another or to the unit circle, but without a loop over the samples.
+    The recursion runs in the Schur form of A, as one first-order filter per state. For poles close to one another or to
+    the unit circle this is as accurate as the plain recursion, but it needs no loop over the samples.
     """
     return _run(A, inputs, initial)[:-1]
 
@@ -166,7 +167,7 @@ class LinearModel(StateSpace):
         n, m = self.order, self.D.shape[1]
         if self.D.shape[0] != m:
             return np.empty(0, dtype=complex)
-        # scaled, so that the test for finite zeros does not depend on the unit
+        # scaled, so that the test for finite zeros does not depend on the units
         b, c = np.linalg.norm(self.B) or 1.0, np.linalg.norm(self.C) or 1.0
         pencil = np.block([[self.A, self.B / b], [self.C / c, self.D / (b * c)]])
         shift = scipy.linalg.block_diag(np.eye(n), np.zeros((m, m)))
@@ -182,7 +183,7 @@ class LinearModel(StateSpace):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Natural frequencies and damping ratios of the poles, slowest first, one entry for each pair."""
+        """Natural frequencies and damping ratios of the poles, slowest first; a pole pair has one entry."""
         poles = self.poles
         poles = poles[(poles.imag >= 0.0) & (np.abs(poles) > 1e-12)]
         s = np.log(poles.astype(complex)) / self.sample_time
@@ -203,13 +204,13 @@ class LinearModel(StateSpace):
         return self.response(np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time))
 
     def simulate(self, u, initial=None) -> np.ndarray:
-        """Return the output for the input ``u`` of shape (N,) or (N, n_u), in the same form."""
+        """Return the output for the input ``u`` of shape (N,) or (N, n_u), with the same number of dimensions."""
         columns = np.asarray(u, dtype=float).reshape(len(u), -1)
         y = propagate(self.A, columns @ self.B.T, initial) @ self.C.T + columns @ self.D.T
         return y[:, 0] if np.ndim(u) == 1 else y
 
     def linear_parameters(self) -> LinearParameters:
-        """Return the parameters of the linear block with unit DC gain; the hysteresis has the gain."""
+        """Return the parameters of the linear block, scaled to unit DC gain; the hysteresis contains the gain."""
         if self.D.size != 1:
             raise FitError(f"a linear block has one input and one output; this model has {self.D.shape[::-1]}")
         if not self.stable:
@@ -251,15 +252,16 @@ METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
 #: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
 MARGIN = 64
-#: Number of samples to each side from which a band-limited input is interpolated, and β of Kaiser's window over them:
-#: one pair for highest accuracy up to a quarter of the sample rate, and one for inputs up to nearly half of it.
+#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window over them.
+#: CLOSE has the highest accuracy up to a quarter of the sample rate; SHARP is for inputs up to nearly half of the
+#: sample rate.
 CLOSE, SHARP = (10, 12.0), (32, 8.0)
 
 
 def upsample(
     u, factor: int, method: str = "bandlimited", periodic: bool = False, window: tuple[int, float] = CLOSE
 ) -> np.ndarray:
-    """Return the input at ``factor`` times as many points, shape (N factor,); every factor-th is a sample."""
+    """Return the input with ``factor`` times as many points, shape (N factor,); every factor-th point is a sample."""
     u = np.ascontiguousarray(u, dtype=np.float64)
     if method not in METHODS or factor < 1:
         raise IdentificationError(
@@ -279,7 +281,7 @@ def upsample(
             spectrum[-1] *= 0.5  # the Nyquist bin represents two frequencies of the finer grid
         return np.fft.irfft(spectrum, u.size * factor) * factor
     margin = min(MARGIN, u.size - 1)
-    # mirrored about the ends, so that level and slope continue
+    # mirrored about the ends, so that level and slope are continuous
     head, tail = 2.0 * u[0] - u[margin:0:-1], 2.0 * u[-1] - u[-2 : -margin - 2 : -1]
     taps = scipy.signal.firwin(2 * window[0] * factor + 1, 1.0 / factor, window=("kaiser", window[1]))
     longer = scipy.signal.resample_poly(np.concatenate([head, u, tail]), factor, 1, window=taps)
@@ -313,10 +315,10 @@ BANDLIMITED_POINTS = 8
 
 
 class CanonicalSimulation:
-    """The responses of ``sⁱ/denominator`` to an input; the response of every numerator is a sum of them.
+    """The responses of ``sⁱ/denominator`` to an input; the response for any numerator is a linear combination of them.
 
     The states of the controllable form are these responses. Time is scaled with the geometric mean of the poles, so
-    that the matrix is well conditioned for a mirror of 2 kHz as well as for a creep of an hour.
+    that the matrix is well conditioned for a mirror of 2 kHz as well as for creep over an hour.
 
     Units: ``sample_time`` [s].
     """
@@ -328,7 +330,7 @@ class CanonicalSimulation:
         n = self.order = len(denominator) - 1
         self.sample_time, self.intersample = float(sample_time), "foh" if intersample == "linear" else intersample
         self.rate = abs(denominator[-1]) ** (1.0 / n) if n and denominator[-1] else 1.0
-        # in s/rate the response is rate^(i - n) times that of the states; `bases` restores these powers
+        # in time units of 1/rate, the i-th response is rate^(i - n) times the state; `bases` applies these powers
         self.scaled = denominator[1:] / self.rate ** np.arange(1, n + 1)
         self.A = np.eye(n, k=1)
         if n:
@@ -386,7 +388,7 @@ class CanonicalSimulation:
         return np.column_stack([np.interp(at, np.arange(len(columns)), column) for column in columns.T])
 
     def free_responses(self, samples: int) -> np.ndarray:
-        """Return n independent responses to initial states without input, shape (samples, n)."""
+        """Return n independent responses without input, one for each initial state, shape (samples, n)."""
         Ad = self.discrete(self.sample_time)[0]
         nothing = np.zeros((samples, self.order))
         return np.column_stack([propagate(Ad, nothing, start)[:, 0] for start in np.eye(self.order)])
@@ -428,9 +430,9 @@ def simulate_transfer_function(
 
 #: Smallest lag, as a fraction of the sample time; smaller ones are neglected.
 SHORTEST_LAG = 0.02
-#: A creep rate below this is neglected.
+#: Smaller creep rates than this are neglected.
 SMALLEST_RATE = 1e-5
-#: Number of cached responses.
+#: Number of cached impulse responses.
 RESPONSES = 16
 
 
@@ -441,12 +443,13 @@ class LinearPart:
     lag: float = 0.0  #: Time constant τ [s].
     delay: float = 0.0  #: Dead time [s].
     creep_rate: float = 0.0  #: γ of the logarithmic law, per decade.
-    longest_time: float = 100.0  #: Time up to which the creep law holds [s].
+    longest_time: float = 100.0  #: Time [s] up to which the creep law holds.
     #: True: creep had settled at the first sample; false: the system was at rest at zero before it.
     settled: bool = False
     modes: tuple[Mode, ...] = ()  #: Modes; the remaining displacement passes through the lag.
     #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then describe the stage
-    #: itself. 0: the input was assumed linear between the samples, and the delay includes the half sample of holding.
+    #: alone. 0: the input was assumed linear between the samples, and the delay includes the half sample by which
+    #: holding delays.
     hold: float = 0.0
 
     @property
@@ -474,7 +477,7 @@ class LinearPart:
         return self.behind_creep(self.crept(columns, sample_time), columns, sample_time)
 
     def crept(self, columns, sample_time: float) -> np.ndarray:
-        """Return the columns behind creep alone, without their first row if creep had settled there, shape (N, m)."""
+        """Return the columns after creep alone, shape (N, m); if creep had settled, relative to the first row."""
         table = _table(columns)
         moved = table - table[:1] if self.settled else table
         if self.creep_rate < SMALLEST_RATE:
@@ -482,7 +485,7 @@ class LinearPart:
         return filtered(moved, _creep_sections(self.creep, sample_time))
 
     def behind_creep(self, crept, columns, sample_time: float) -> np.ndarray:
-        """Return the response to columns whose response to creep, :meth:`crept`, is known; in the form of columns."""
+        """Return the response to ``columns``, in their shape; ``crept`` is their response to creep alone."""
         columns = np.asarray(columns, dtype=float)
         held = bool(self.hold) and abs(self.hold - sample_time) < 1e-6 * sample_time
         sections, late = _held_stage(self, sample_time) if held else _linear_stage(self, sample_time)
@@ -493,7 +496,7 @@ class LinearPart:
 
     @property
     def group_delay(self) -> float:
-        """Delay of slow movement [s], without creep."""
+        """Delay of slow movement [s] by lag, modes and delay, without creep."""
         omega = 2.0 * np.pi * np.array([mode.frequency for mode in self.modes])
         late = [2.0 * mode.damping * mode.position - mode.velocity for mode in self.modes]
         direct = 1.0 - sum(mode.position for mode in self.modes)
@@ -508,12 +511,12 @@ class LinearPart:
 
     @property
     def settled_gain(self) -> float:
-        """Gain after an infinite time: feedthrough and all creep operators."""
+        """Gain after infinite time, when all creep operators have settled."""
         feedthrough, weights, _ = self.creep.resolved()
         return feedthrough + float(np.sum(weights))
 
     def described(self) -> tuple[dict[str, float], list[str]]:
-        """Return the figures, by names with units, and the description."""
+        """Return the figures, by names with units, and the description as texts."""
         numbers = {}
         words = []
         if self.lag > 0.0:
@@ -532,10 +535,10 @@ class LinearPart:
         return numbers, words
 
     def dynamics(self, sample_time: float) -> LinearParameters:
-        """Return lag, modes and delay as the discrete block of a node, whose input is held between samples.
+        """Return lag, modes and delay as the discrete block of a node; the input of this block is held between samples.
 
-        The delay that holding causes is subtracted from the dead time, then from the lag, so that the delay of slow
-        movement is kept.
+        Holding the input adds a delay; it is subtracted from the dead time, and what remains of it from the lag, so
+        that the delay of slow movement does not change.
 
         Units: ``sample_time`` [s].
         """
@@ -547,7 +550,7 @@ class LinearPart:
         if part < 1e-9:
             A, B = zero_order_hold(A, B, sample_time) if n else (A, B)
             return _flat(A, B, C, through, sample_time, whole * sample_time if self.modes else delay)
-        # the input may change within a sample: x⁺ = A x + late u_k + early u_(k-1), with u_(k-1) as a state
+        # the input may change within a sample period: x⁺ = A x + late u_k + early u_(k-1), with u_(k-1) as a state
         step, both = zero_order_hold(A, B, sample_time)
         late = zero_order_hold(A, B, (1.0 - part) * sample_time)[1]
         A, B = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
@@ -558,9 +561,9 @@ class LinearPart:
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
     def held(self, sample_time: float) -> LinearPart:
-        """Return the part for an input that is held between the samples, with the same discrete block.
+        """Return the linear part for an input that is held between the samples; its discrete block is the same.
 
-        Lag and delay then describe the stage itself, without the half sample by which holding delays.
+        Lag and delay then describe the stage alone, without the half sample by which holding delays.
 
         Units: ``sample_time`` [s].
         """
@@ -570,7 +573,7 @@ class LinearPart:
         return replace(self, lag=float(lag), delay=float(delay), hold=float(sample_time))
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay without the effect of a held input, where a lag delays by T/(1 - e^(-T/τ)), not τ."""
+        """Return lag and delay without the effect of holding; with it, a lag delays by T/(1 - e^(-T/τ)), not by τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -580,7 +583,7 @@ class LinearPart:
         return (sample_time / np.log1p(1.0 / rest) if rest > 0.0 else 0.0), 0.0
 
     def _continuous(self, lag: float):
-        """Return the continuous A, B, C of lag and modes, and the feedthrough."""
+        """Return the continuous A, B, C of lag and modes, and the direct feedthrough."""
         direct = 1.0 - sum(mode.position for mode in self.modes)
         if abs(direct) < 1e-9:
             direct = 0.0
@@ -597,7 +600,7 @@ class LinearPart:
 
 @lru_cache(maxsize=16)
 def _creep_sections(creep: CreepParameters, sample_time: float) -> tuple[Section, ...]:
-    """Return the operators of a creep law, and its part without delay; a search asks for the same law many times."""
+    """Return the operators of a creep law and its direct part; cached, as a search uses the same law many times."""
     feedthrough, weights, time_constants = creep.resolved()
     sections = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
     return Section(feedthrough), *sections
@@ -634,7 +637,7 @@ def _linear_stage(part: LinearPart, sample_time: float) -> tuple[list[Section], 
 
 
 def _held_stage(part: LinearPart, sample_time: float) -> tuple[list[Section], float]:
-    """Return lag and modes for an input that is held over a sample, and the delay [samples] of what is measured."""
+    """Return lag and modes for an input that is held over a sample, and the delay [samples] of the measurement."""
     samples = part.delay / sample_time
     if not part.modes:
         return [_held_section(part.lag, sample_time)], 1.0 + samples
@@ -691,7 +694,7 @@ class Known(NamedTuple):
     """The linear part of a fit of a hysteresis, when it is already known."""
 
     part: LinearPart
-    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched nevertheless.
+    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are nevertheless searched.
 
 
 def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParameters:
@@ -701,11 +704,11 @@ def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParamete
     return LinearParameters(A, B, C, D=(float(D),) if D else (), sample_time=sample_time, delay=float(delay))
 
 
-#: Length of the window of the smoothed derivative in :func:`undo_lag`, as a multiple of the lag, and its least number
-#: of samples.
+#: Window length of the smoothed derivative in :func:`undo_lag`, as a multiple of the lag, and least number of samples
+#: in the window.
 LAG_WINDOW = 3.0
 FEWEST_IN_WINDOW = 5
-#: Smallest magnitude of the response of dynamics with modes that is inverted.
+#: Magnitude of the response below which dynamics with modes are no longer fully inverted.
 SMALLEST_RESPONSE = 0.1
 
 

@@ -7,15 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Response matrix from inputs that do not repeat: the local polynomial method, with the covariance of the noise.
+"""Response matrix from inputs that do not repeat, by the local polynomial method, with the covariance of the noise.
 
 Around each line k, the response and the transient are smooth in frequency; the spectra of inputs and noise are not.
 Over the lines k + r, |r| ≤ n, the model
 
     Y(k + r) = Σ_s r^s G_s U(k + r) + Σ_s r^s T_s + V(k + r),  s = 0 … R,
 
-is linear in G_s and T_s; G_0 is the response at the line. The covariance of the residual is that of the noise. Its
-degrees of freedom are the lines of the window minus the unknowns [1]_. Each experiment has a transient of its own.
+is linear in G_s and T_s; G_0 is the response at line k. The covariance of the residual is that of the noise; its
+degrees of freedom are the number of lines in the window minus the number of unknowns [1]_. Each experiment has its own
+transient.
 
 References
 ----------
@@ -37,7 +38,8 @@ from hysteresis_ros.identification.frequency_response import (
     ResponseMatrix,
 )
 
-#: Degree of the polynomials, and degrees of freedom of the covariance beyond the number of outputs.
+#: Degree of the polynomials, and default by which the degrees of freedom of the covariance exceed the number of
+#: outputs.
 DEGREE, FREEDOM = 2, 10
 #: Number of frequency lines whose equations are solved together.
 CHUNK = 512
@@ -120,7 +122,7 @@ def local_polynomial_response(
 
 
 def _half_width(shape: tuple[int, int, int], degree: int, q: int, free: int) -> int:
-    """Return the number of lines on either side of a line in its window; ``free`` degrees of freedom remain."""
+    """Return how many lines the window has on each side, so that ``free`` degrees of freedom remain."""
     experiments, N, m = shape
     if degree < 0 or degree % 2:
         raise IdentificationError(f"degree = {degree}: must be an even number ≥ 0")
@@ -137,10 +139,10 @@ def _half_width(shape: tuple[int, int, int], degree: int, q: int, free: int) -> 
 
 
 def _excited(U: np.ndarray, frequency: np.ndarray, window: int, band) -> np.ndarray:
-    """Return the indices of the excited lines within a band."""
+    """Return the indices of the excited lines in a band."""
     if not np.abs(U).max() > 0.0:
         raise DataError("constant", "the inputs are constant; a frequency response needs inputs that move")
-    # the power is averaged over neighbours, because a single line of noise may be small by chance
+    # the power is averaged over neighbouring lines, because the power of noise at a single line may be small by chance
     kernel = np.ones(window) / window
     power = np.convolve((np.abs(U) ** 2).sum(axis=(1, 2)), kernel, mode="same")
     chosen = power > EXCITED**2 * power.max()
@@ -153,13 +155,13 @@ def _excited(U: np.ndarray, frequency: np.ndarray, window: int, band) -> np.ndar
 
 
 def _fit_lines(U, Y, lines: np.ndarray, half: int, degree: int, frequency: np.ndarray):
-    """Fit the polynomials around some lines.
+    """Fit the polynomials around the given lines.
 
     Return response, covariance of the output, variances of the response for unit covariance, and condition numbers,
-    each with a row for each line; and the degrees of freedom.
+    each with one row per line; and the degrees of freedom.
     """
     experiments, m, q, window = U.shape[1], U.shape[2], Y.shape[2], 2 * half + 1
-    # at the ends of the band, the window extends to one side only
+    # near the ends of the band, the window is not centred at the line
     first = np.clip(lines - half, 0, len(U) - window)
     places = first[:, None] + np.arange(window)
     r = (places - lines[:, None]) / half

@@ -10,9 +10,9 @@
 """Frequency response → matrix-fraction description → state space of lowest order (K4), without iteration.
 
 The left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is linear in its
-coefficients once multiplied by Q, so that one linear least-squares solution fits them to all lines together. Its degree
-is higher than necessary, so its realisation has pole-zero pairs that nearly cancel; a truncation of the balanced
-realisation removes them within a tolerance.
+coefficients after multiplication by Q. A single linear least-squares solution therefore fits the coefficients to all
+lines together. The degree is higher than necessary, so the realisation has pole-zero pairs that nearly cancel;
+truncation of the balanced realisation removes these pairs within a tolerance.
 
 References
 ----------
@@ -36,7 +36,7 @@ from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.models.linear import BOUNDARY
 
-#: A relative misfit below this value is attributed to rounding, not to an order that is too low.
+#: A relative misfit below this value is attributed to rounding errors, not to an order that is too low.
 ROUNDING = 1e-7
 
 
@@ -50,11 +50,11 @@ class MatrixFraction:
 
     @property
     def degree(self) -> int:
-        """p."""
+        """The degree p."""
         return len(self.denominator) - 1
 
     def realisation(self, input_unit: str = "V", output_unit: str = "m") -> LinearModel:
-        """Return the state space in observer form, order p · n_y, before any cancellation."""
+        """Return the state space in observer form, of order p · n_y, before any cancellation."""
         Q, R = self.denominator, self.numerator
         p, ny = self.degree, Q.shape[1]
         A = np.zeros((p * ny, p * ny))
@@ -72,17 +72,17 @@ class MatrixFractionFit:
 
     model: LinearModel  #: Model of the chosen order.
     order: int  #: Chosen order: requested or suggested.
-    suggested_order: int  #: The lowest order whose misfit is within the tolerance of the best one.
+    suggested_order: int  #: Lowest order whose misfit is within the tolerance of the smallest misfit.
     hankel_values: (
         np.ndarray
     )  #: shape (n,); Hankel singular values of the full fit, relative to the largest, in descending order.
     orders: np.ndarray  #: shape (m,); Tried orders.
-    #: shape (m,); Misfit of each order: rms of |Ĝ - G| over the lines, in units of the standard deviation, or relative
-    #: to rms |G| when the variance is unknown.
+    #: shape (m,); Misfit of each order: rms of |Ĝ - G| over the lines, in standard deviations of the response, or, if
+    #: the variance is unknown, relative to rms |G|.
     misfit: np.ndarray
     fraction: MatrixFraction  #: The full fit.
-    #: Unstable poles of the full fit that were removed, usually caused by noise; the misfit includes their
-    #: contribution.
+    #: Unstable poles of the full fit, usually caused by noise, that were removed; the misfit includes the error of
+    #: their removal.
     dropped: tuple[complex, ...]
     warnings: tuple[str, ...]  #: Non-minimum-phase fit, large misfit, order at its bound …
 
@@ -132,7 +132,7 @@ def identify_matrix_fraction(
     feedthrough: bool = False,
     iterations: int = 0,
 ) -> MatrixFractionFit:
-    """Fit a frequency response and realise it in the lowest order (K4)."""
+    """Fit a matrix fraction to a frequency response, and realise it with the lowest order (K4)."""
     deviation = _deviation(data)
     most = max(maximum_order, order or 0)
     candidates = _candidates(
@@ -175,7 +175,7 @@ def identify_matrix_fraction(
 
 
 class _Candidate(NamedTuple):
-    """Result of a fit with one degree."""
+    """Result of a fit with one degree of the matrix fraction."""
 
     fraction: MatrixFraction
     dropped: list[complex]
@@ -190,7 +190,7 @@ def _misfit_with(order: int) -> Callable[[_Candidate], float]:
 
 
 def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iterations: int) -> list[_Candidate]:
-    """Return the models of the orders 1 … ``most`` of each degree with a stable part."""
+    """Return, for each degree whose fit has a stable part, the models of the orders 1 … ``most``."""
     weights = None if deviation is None else 1.0 / np.maximum(deviation.max(axis=(1, 2)), 1e-3 * deviation.max())
     found = []
     for degree in degrees:
@@ -209,7 +209,7 @@ def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iteratio
 
 
 def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
-    """Yield warnings about the misfit of the chosen model; ``size`` is that of the response."""
+    """Yield warnings about the misfit of the chosen model; ``size`` is the rms magnitude of the response."""
     if winner.dropped:
         # unstable poles caused by noise do not contribute to the response; poles of an unstable system do
         whole = winner.fraction.realisation(data.input_unit, data.output_unit)
@@ -223,7 +223,7 @@ def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
-    """Return the degrees to try, because noise biases a fit of low degree, and adds poles to a fit of high degree."""
+    """Return the degrees to try: noise biases a fit of low degree, and adds poles to a fit of high degree."""
     if degree is not None:
         return [degree]
     F, ny, nu = shape
@@ -236,17 +236,17 @@ def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
     """Return the stable part of ``model`` (poles inside the unit circle), and the removed poles.
 
     The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
-    stable part keeps its contribution to the response.
+    stable part contributes to the response as before.
     """
     for margin in (BOUNDARY, 1e-6, 1e-4, 1e-3, 1e-2):
         stable, dropped = _separated(model, 1.0 - margin)
-        if stable.stable:  # reordering moves poles in a cluster by more than rounding
+        if stable.stable:  # reordering moves the poles of a cluster by more than rounding errors
             break
     return stable, dropped
 
 
 def _separated(model, radius):
-    def inside(real, imaginary=0.0):  # named arguments: SciPy inspects the signature
+    def inside(real, imaginary=0.0):  # named arguments, because SciPy inspects the signature
         return abs(real + 1j * imaginary) < radius
 
     A, basis, count = scipy.linalg.schur(model.A, output="real", sort=inside)
@@ -261,7 +261,7 @@ def _separated(model, radius):
 def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     """Return the balanced realisation of a stable model and its Hankel singular values, in descending order.
 
-    Directions below rounding (1e-14 of the largest) are removed: they are neither controllable nor observable.
+    Directions below the rounding error (1e-14 of the largest) are removed: they are not controllable or not observable.
     """
     if not model.stable:
         raise FitError(f"an unstable model (poles {model.poles}) has no balanced realisation; take its stable part")
@@ -280,7 +280,7 @@ def truncate(balanced: LinearModel, order: int) -> LinearModel:
 
 
 def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, feedthrough: bool = False) -> LinearModel:
-    """Refit B (and D) to the lines by linear least squares with A and C fixed, which corrects for the truncation."""
+    """Refit B (and D) to the lines by linear least squares with fixed A and C, to correct for the truncation."""
     F, ny, nu = data.response.shape
     n = model.order
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
@@ -303,7 +303,7 @@ def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, fee
 
 
 def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
-    """Return the rms misfit of a model at the lines; None stands for the zero model."""
+    """Return the rms misfit of a model over the lines; None stands for the zero model."""
     predicted = 0.0 if model is None else model.frequency_response(data.frequency)
     scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
     return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))
@@ -313,17 +313,17 @@ def _deviation(data):
     variance = data.total_variance if data.total_variance is not None else data.noise_variance
     if variance is None or not np.all(np.isfinite(variance)) or not np.any(variance > 0.0):
         return None
-    # a variance from few averages scatters; a smoothed lower limit keeps single lines from dominating
+    # a variance from few averages scatters; a lower limit prevents single lines from dominating
     floor = 0.1 * np.median(variance[variance > 0.0])
     return np.sqrt(np.maximum(variance, floor))
 
 
 def _gramian(A, B):
-    # the direct method solves n² simultaneous equations and is ill-conditioned near the unit circle
+    # the direct method would solve n² simultaneous equations, and is ill-conditioned for poles near the unit circle
     return scipy.linalg.solve_discrete_lyapunov(A, B @ B.T, method="bilinear")
 
 
 def _root(gramian):
-    """Return a factor L with L Lᵀ = gramian, which rounding may have made slightly indefinite."""
+    """Return a factor L with L Lᵀ = gramian; rounding may have made the gramian slightly indefinite."""
     values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The result of an identification as a ROS 2 parameter file, which nodes can run unchanged and which states its origin.
+"""Parameter files of ROS 2 for identified models: nodes run them unchanged, and they state the origin of the numbers.
 
-Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` belongs to no
+Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` does not name a
 node, so ROS ignores it; it contains source, figures, assumptions and warnings.
 """
 
@@ -49,9 +49,9 @@ from hysteresis_ros.units import figure_name
 
 #: Section that no node reads.
 SECTION = "/identification"
-#: Figure of an identification: how much higher the gain of loops over a tenth of the range may be [%].
+#: Name of a figure: by how much the gain of loops over a tenth of the range may be higher than that of the model [%].
 SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
-#: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
+#: Sample rate [Hz] and highest voltage [V] of the example axis for a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
 #: Fields that are written for each mode.
 MODE_NUMBERS = ("frequency", "damping", "position", "velocity")
@@ -98,7 +98,7 @@ def sections(result: Identification) -> dict[str, dict]:
     lowest, highest = _reach(chain, low, high)
     stroke = highest - lowest
     commands = {"command_minimum": min(lowest - stroke, 0.0), "command_maximum": max(highest + stroke, 0.0)}
-    # a remanent actuator is not at zero at 0 V: the reference starts at its position
+    # a remanent actuator is not at zero at 0 V: the reference starts at the actuator's position
     start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
@@ -110,7 +110,7 @@ def sections(result: Identification) -> dict[str, dict]:
 
 
 def rate_of(sample_time: float) -> float:
-    """Return the sample rate [Hz], rounded to 9 digits: stamps in whole nanoseconds are not more accurate.
+    """Return the sample rate [Hz], rounded to 9 digits, because stamps in whole nanoseconds are not more accurate.
 
     Units: ``sample_time`` [s].
     """
@@ -124,7 +124,7 @@ def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
         return (-reach if low < 0.0 else 0.0), reach
     ends = [at_rest(chain.hysteresis, chain.sample_time)]
     for end in (low, high):
-        # from rest in fine steps: some models are integrated along the path
+        # from rest in fine steps, because some models are integrated along the path
         ends.append(
             float(hysteresis_block(chain.hysteresis, chain.sample_time).simulate(np.linspace(0.0, end, 257))[-1])
         )
@@ -180,7 +180,7 @@ def identification_section(
 
 
 def assumptions(result: Identification) -> tuple[str, ...]:
-    """Return sentences about the assumptions of the parameter file."""
+    """Return sentences about the assumptions behind the parameter file."""
     low, high = limits_of(result.chain)
     units = result.chain.units
     found = [
@@ -205,7 +205,7 @@ USUAL_UNITS = ("V", "m")
 
 
 def _other_units(units: tuple[str, str]) -> str:
-    """Return a sentence about the meaning of V and m in the file of another kind of actuator."""
+    """Return a sentence that states what V and m mean in the file of another kind of actuator."""
     meant = [f"{there} stands for {own}" for there, own in zip(USUAL_UNITS, units, strict=True) if there != own]
     return f"the parameters, their descriptions and the nodes speak of V and m: here {' and '.join(meant)}"
 
@@ -216,7 +216,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
     Units: ``excited`` [V/s].
     """
     nodes = {**sections(result), SECTION: section}
-    # copy every array: YAML would write a second reference as an alias, which ROS does not read
+    # copy every array: YAML would write the second reference to an array as an alias, which ROS cannot read
     copied = {
         node: {name: tuple(value) if isinstance(value, tuple) else value for name, value in values.items()}
         for node, values in nodes.items()
@@ -234,7 +234,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
 
 
 def example_text(model: HysteresisModel) -> str:
-    """Return the text of a parameter file of an axis with the example of a model: a slow sine in the open loop."""
+    """Return the parameter file of an axis with the example of a model, which follows a slow sine in open loop."""
     hysteresis = HysteresisParameters(type=model.name, **{model.name: model.example})
     chain = PlantModel(
         hysteresis=hysteresis,
@@ -262,7 +262,7 @@ def example_text(model: HysteresisModel) -> str:
 
 
 def model_warnings(result: Identification) -> tuple[str, ...]:
-    """Return the warnings of the blocks about their own parameters, for example outside the valid class."""
+    """Return the warnings of the blocks about their parameters, for example values outside the valid class."""
     chain = result.chain
     return (*chain.hysteresis.chosen.warnings(), *chain.creep.warnings(), *chain.dynamics.warnings())
 
@@ -273,7 +273,7 @@ def write_file(path, text: str) -> None:
 
 
 def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
-    """Return the parameters of a block from those of its node."""
+    """Return the parameters of a block from the parameters of its node."""
     names = {row.name for row in cls.table()}
     values = {name: value for name, value in configuration.node(node, namespace).items() if name in names}
     return cls.from_mapping(values, prefix=f"{configuration.source}: {node}: ").validated()
@@ -302,7 +302,7 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
 
 
 def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters, sample_time: float) -> PlantModel:
-    """Return the model of a plant, with the data that an identification has written about it."""
+    """Return the model of a plant, with what an identification has written about the recording and the fit."""
     saturation: Any = section.get("saturation")
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
@@ -326,7 +326,7 @@ def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters,
 
 
 def _units(section: dict) -> tuple[str, str]:
-    """Return the units of input and output that an identification has written behind their names."""
+    """Return the units of input and output, if an identification has written their names."""
     found = [re.search(r"\[([^\[\]]+)\]$", str(section.get(role, ""))) for role in ("input", "output")]
     given = [match[1] if match else usual for match, usual in zip(found, USUAL_UNITS, strict=True)]
     return given[0], given[1]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The identified plant, a chain of blocks that the nodes run; the request of an identification and its result.
+"""The identified plant (a chain of blocks that the nodes run), the request of an identification, and its result.
 
 voltage → hysteresis → creep → linear dynamics → + offset.
 """
@@ -37,19 +37,19 @@ class Request:
 
     model: str
     parts: tuple[str, ...]  #: Parts that may follow the hysteresis, of ``lag``, ``delay``, ``creep``, ``modes``.
-    stage: str | None  #: Dynamics of higher order, in place of these parts.
+    stage: str | None  #: Dynamics of higher order, in place of ``parts``.
     options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
-    skip: int | None  #: First samples that the error omits; None: those that earlier voltages affect.
+    skip: int | None  #: Number of omitted samples at the beginning; None: those that earlier voltages affect.
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
-    #: Earlier results of :func:`.separation.separated` for this data, by its arguments, and lists of earlier fits of
-    #: plays and densities, by :meth:`.separation.Start.past`.
+    #: Earlier results of :func:`.separation.separated` for this data, by the arguments of that function; and lists of
+    #: earlier fits of plays and densities, by :meth:`.separation.Start.past`.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:
-        """Progress of fits that report a residual [m]."""
+        """Report the progress of a fit by its residual [m]."""
         self.progress(number, f"residual {readable(rmse, 'm')}")
 
 
@@ -72,13 +72,13 @@ class PlantModel:
     creep: CreepParameters
     dynamics: LinearParameters  #: For ``sample_time``.
     sample_time: float  #: [s]
-    offset: float = 0.0  #: Constant part of the displacement [m]; a plant represents it as preload offset.
-    #: Creep, lag and delay in continuous time, if the dynamics have no other part.
+    offset: float = 0.0  #: Constant part of the displacement [m]; a plant contains it as preload offset.
+    #: Creep, lag and delay in continuous time, if these are all the dynamics.
     linear_part: LinearPart | None = None
     #: Numerator and denominator of the dynamics, if they were identified in continuous time.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    #: Whether a displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis measures before
-    #: the voltage acts.
+    #: Whether each displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis, in contrast,
+    #: measures before the voltage acts.
     synchronous: bool = False
     #: Identified voltage history [V] before the recording, from rest at 0 V; :meth:`simulate` begins with it.
     history: tuple[float, ...] = ()
@@ -88,9 +88,9 @@ class PlantModel:
     voltage_high: float = 0.0
     #: Inverse that the compensator uses.
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
-    #: SI units of input and output, which the parameters call V and m.
+    #: SI units of input and output; the parameters' documentation calls them V and m.
     units: tuple[str, str] = ("V", "m")
-    #: Range of the input [V] outside which the output is constant, if the recording shows such a saturation.
+    #: Range of the input [V] outside which the output is constant, if the recording shows a saturation.
     saturation: tuple[float, float] | None = None
 
     @property
@@ -100,10 +100,10 @@ class PlantModel:
 
     @property
     def continuous(self) -> LinearPart:
-        """Creep, lag and delay; a lag of equal group delay at low frequencies replaces other dynamics."""
+        """Creep, lag and delay; other dynamics are replaced by a lag with the same group delay at low frequencies."""
         if self.linear_part is not None:
             return self.linear_part
-        # half of the sample time is the delay of the converter, which a recorded voltage does not contain
+        # half of the sample time is the delay of the converter; a recorded voltage does not contain this delay
         delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
         return LinearPart(lag=max(delay, 0.0))
 
@@ -132,35 +132,36 @@ class Identification:
 
     model: str  #: Name of the model in the registry.
     linear: str  #: Description of the dynamics after the hysteresis.
-    #: The model; its hysteresis is zero at rest at 0 V, or at the remanent displacement of the recording's beginning.
+    #: The model; its hysteresis is zero at rest at 0 V, or at the remanent displacement at the beginning of the
+    #: recording.
     chain: PlantModel
     fitted: int  #: Number of fitted parameters.
-    #: Figures of the fit other than the parameters, names with units (``lag_s``).
+    #: Figures of the fit except the parameters, by names with units (``lag_s``).
     numbers: dict[str, float] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, by parameter.
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the fit did not converge; this is the best point found.
-    skipped: int | None = None  #: First samples that the fit omits; None: those that earlier voltages affect.
+    skipped: int | None = None  #: Number of omitted samples at the beginning; None: those that earlier voltages affect.
     start: str = ""  #: Sentence about the assumed voltage history before the recording.
     drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
-    #: shape (K, n); Names and values of the parameters after each iteration of the best run.
+    #: Names of the parameters, and their values after each iteration of the best run, shape (K, n).
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 
 
 @runtime_checkable
 class IdentifiedModel(Protocol):
-    """Result of an estimator for any model: it computes predictions, their scores, and the parameters of an axis."""
+    """Result of an estimator of any model: predictions, their comparison with recordings, parameters of an axis."""
 
     def predict(self, voltage, sample_time: float | None = None) -> np.ndarray:
         """Return the displacement [m], shape (N,), under a voltage [V] of shape (N,).
 
-        ``sample_time`` [s] is that of the recording by default.
+        ``sample_time`` [s] is by default that of the recording.
         """
         ...
 
     def score(self, data) -> Any:
-        """Return the comparison of the prediction with a recording: errors, residual tests, inverse."""
+        """Return the comparison of a prediction with a recording: errors, tests of the residual, inverse."""
         ...
 
     def to_axis(self) -> Configuration:
@@ -200,9 +201,10 @@ def simulate_chain(
     synchronous: bool = False,
     history: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """Return the displacement of a plant under ``voltage`` by the kernels of the nodes, without limits and sensor.
+    """Return the displacement of a plant under ``voltage`` [m], computed by the kernels of the nodes.
 
-    The plant starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
+    Voltage limits and sensor are not simulated. The plant starts at rest at 0 V. Sample k is measured before voltage k
+    acts, as on an axis, unless ``synchronous``.
 
     Units: ``voltage`` [V], ``sample_time`` [s].
     """
@@ -222,7 +224,7 @@ def pass_through(block, history) -> None:
 
 
 def stretches(history) -> np.ndarray:
-    """Return voltages [V], shape (K,), in small steps from 0 V through the voltages of a history."""
+    """Return voltages [V], shape (K,), that go in small steps from 0 V through the voltages of a history."""
     ends = zip((0.0, *history), history, strict=False)
     return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
@@ -245,9 +247,9 @@ def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
 
 
 def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
-    """Return the hysteresis shifted to zero at rest at 0 V, and the removed constant [m].
+    """Return the hysteresis, shifted so that it is zero at rest at 0 V, and the removed constant [m].
 
-    References then count from rest, because the hysteresis no longer contains the constant of the sensor.
+    References are then relative to the rest position, because the hysteresis no longer contains the sensor's constant.
 
     Units: ``sample_time`` [s].
     """
@@ -276,7 +278,7 @@ def chain_of(
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
         sample_time=data.sample_time,
-        # the plant starts with settled creep, but creep never settles within a recording
+        # the plant starts with settled creep, but within a recording creep never settles
         offset=offset,
         linear_part=part,
         synchronous=bool(synchronous),
@@ -290,18 +292,18 @@ def chain_of(
     zero = sensor_zero(data, chain)
     if zero is None:
         return chain
-    # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
+    # the sensor's zero is its reading at 0 V without remanence; a remanent displacement belongs to the hysteresis
     value = zero.significant
     moved = hysteresis.shifted((offset - value) / gain)
     return chain if moved is hysteresis else replace(chain, hysteresis=moved, offset=value)
 
 
-#: Half of a 95 % interval, in standard deviations.
+#: Half width of a 95 % interval, in standard deviations.
 WITHIN_95_PERCENT = 1.96
 
 
 def half_widths(numbers: dict[str, float], deviations: dict[str, float]) -> dict[str, float]:
-    """Return half of the 95 % intervals of lag, delay and modes, as figures such as ``lag_plus_minus_s``."""
+    """Return half widths of the 95 % intervals of lag, delay and modes, as figures such as ``lag_plus_minus_s``."""
     found = {}
     for name in numbers:
         unit = next((unit for unit in ("_s", "_hz") if name.endswith(unit)), "")
@@ -320,9 +322,9 @@ def identified(
     synchronous: bool,
     offset: float = 0.0,
 ) -> Identification:
-    """Return the result of an identification, with its linear part as figures and text.
+    """Return the result of an identification; its linear part is also described as figures and text.
 
-    Lag and delay of an input that is held between the samples are those of the stage.
+    If the input is held between the samples, lag and delay are those of the stage alone.
     """
     if request.intersample == "zoh" and not synchronous:
         part = part.held(data.sample_time)

@@ -9,14 +9,15 @@
 
 """Fits of models whose output is linear in the weights of plays: one search and one solver for many models.
 
-A model gives the columns of its plays for a shape (:meth:`PlayFit.columns`), the searched parameters of the shape
-(:attr:`PlayFit.extra`) and the block's parameters for the weights (:meth:`PlayFit.parameters`). The linear part and the
-shape are searched; for each trial the weights ≥ 0 and the constants follow by linear least squares.
+A model states the columns of its plays for a given shape (:meth:`PlayFit.columns`), the shape parameters to search
+(:attr:`PlayFit.extra`), and the parameters of the block for given weights (:meth:`PlayFit.parameters`). The parameters
+of the linear part and of the shape are searched; for each trial the weights ≥ 0 and the constants follow by linear
+least squares.
 
-The weights are as smooth over the radius as the data allows: a recording of one large loop determines every weight of a
-classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights alternate, which causes
-errors in minor loops. The roughness (second difference) of the weights is therefore penalised as strongly as the
-residual permits.
+The weights are as smooth over the radius as the data allows. A recording of one large loop determines every weight of a
+classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights alternate, and such
+weights cause errors in minor loops. The roughness (second difference) of the weights is therefore penalised as strongly
+as the residual permits.
 
 References
 ----------
@@ -42,7 +43,8 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters
 #: Weight of the smoothness penalty during the search of the linear part and the shape.
 SEARCH_STRENGTH = 1e-2
 
-#: Small diagonals to add to the normal equations of columns of unit length; the first that suffices is used.
+#: Small numbers to add to the diagonal of the normal equations of columns of unit length; the first that suffices is
+#: used.
 GRAM_FLOORS = (1e-13, 1e-12, 1e-11, 1e-10)
 #: Tried weights of the smoothness penalty, from almost none to one that makes the weights almost linear.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
@@ -52,8 +54,8 @@ class Crept(NamedTuple):
     """Response of columns to creep."""
 
     case: tuple[float, bool]  #: Longest time of the creep [s], and whether it had settled at the first sample.
-    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed again.
-    growth: np.ndarray | None = None  #: shape (N, m); What a creep rate of 1 adds.
+    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed twice.
+    growth: np.ndarray | None = None  #: shape (N, m); Additional response for a creep rate of 1.
 
 
 class PlayFit(ABC):
@@ -61,7 +63,7 @@ class PlayFit(ABC):
 
     #: Searched parameters of the shape: name, initial value, and ends of the range.
     extra: tuple[tuple[str, float, float, float], ...] = ()
-    #: Penalised differences of neighbouring weights, one row for each.
+    #: Rows of differences of neighbouring weights that are penalised.
     roughness: np.ndarray
 
     def __init__(self, data: Condensed):
@@ -72,15 +74,15 @@ class PlayFit(ABC):
         #: Shape and columns of the last trial, and their response to creep.
         self.kept_columns: tuple[dict[str, float], np.ndarray] | None = None
         self.crept: Crept | None = None
-        #: Linear part, shape and filtered columns of the finished fit, while it is judged on held-out samples.
+        #: Linear part, shape and filtered columns of the finished fit, kept while held-out samples are predicted.
         self.reply: tuple[LinearPart, dict[str, float], np.ndarray] | None = None
-        #: Least squares of the last trial of a search.
+        #: Least-squares solver of the last trial of a search.
         self.solver: WeightSolver | None = None
         self.residual = np.zeros(0)
 
     @abstractmethod
     def columns(self, shape: dict[str, float]) -> np.ndarray:
-        """Return the regressors for a shape, shape (N, m), in the order of the weights, zero at rest."""
+        """Return the regressors for a shape, shape (N, m), in the order of the weights; they are zero at rest."""
 
     @abstractmethod
     def parameters(self) -> HysteresisParameters:
@@ -91,7 +93,7 @@ class PlayFit(ABC):
         return PartSearch(self.solve, self.data, self.extra, progress, self.slopes)
 
     def solve(self, part, shape) -> np.ndarray:
-        """Return the residual [m] of the weights for one trial of the search."""
+        """Return the residual [m] with the best weights for one trial of the search."""
         data = self.data
         self.solver = WeightSolver(
             data.counted(self.moved(part, shape)),
@@ -108,9 +110,9 @@ class PlayFit(ABC):
 
         Each neighbour is a pair (linear part, shape parameters).
 
-        The weights follow (variable projection [1]_). For a change dΦ of the filtered columns Φ they need only dΦ w and
-        dΦᵀ e with the weights w and the residual e. Each is the filter of one signal: of the sum of the columns, and of
-        the residual backwards in time.
+        The weights are solved again for each neighbour (variable projection [1]_). For a change dΦ of the filtered
+        columns Φ this requires only dΦ w and dΦᵀ e, with the weights w and the residual e. Both are obtained by
+        filtering a single signal: the sum of the columns, and the residual backwards in time.
         """
         if self.solver is None:
             raise RuntimeError("there is no solved trial")
@@ -134,7 +136,7 @@ class PlayFit(ABC):
         return self.solver.followed(data.counted(moved), leaning, self.weights, SEARCH_STRENGTH)
 
     def summed(self, shape) -> np.ndarray:
-        """Return the sum of the columns of a shape with the present weights, shape (N,)."""
+        """Return the sum of the columns for a shape, multiplied by the present weights, shape (N,)."""
         kept = self.kept_columns
         return (kept[1] if kept is not None and kept[0] == shape else self.columns(shape)) @ self.weights
 
@@ -153,10 +155,10 @@ class PlayFit(ABC):
         return residual
 
     def moved(self, part, shape) -> np.ndarray:
-        """Return the columns behind the linear part, shape (N, m).
+        """Return the columns filtered by the linear part, shape (N, m).
 
-        Creep is most of the work, and it is linear in its rate: if a shape is asked for again, as where only the linear
-        part is searched, the response for the rate 1 is kept until the shape changes.
+        Creep takes most of the time, and its response is linear in the creep rate. If the same shape is used again, for
+        example in a search of the linear part alone, the response for a rate of 1 is kept until the shape changes.
         """
         step = self.data.sample_time
         if self.kept_columns is None or self.kept_columns[0] != shape:
@@ -200,7 +202,7 @@ class PlayFit(ABC):
         return self
 
     def refitted(self, data: Condensed):
-        """Return the model with the same shape and linear part, and weights for other samples of the recording."""
+        """Return the model with the same shape and linear part; weights fitted to other samples of the recording."""
         if self.reply is None:
             self.reply = self.part, self.shape, self.moved(self.part, self.shape)
         other = copy(self)
@@ -226,15 +228,15 @@ def _backwards(part, error, sample_time: float) -> np.ndarray:
 
 
 def _leaning(part, columns, error, back) -> np.ndarray:
-    """Return the products of the filtered columns and an error, shape (m,); ``back`` is the error backwards in time."""
+    """Return the products of filtered columns and an error, shape (m,); ``back``: the error filtered backwards."""
     found = columns.T @ back
     return found + columns[0] * (part.settled_gain * error.sum() - back.sum()) if part.settled else found
 
 
 def differences(part, shape, neighbours, summed, sample_time: float) -> np.ndarray:
-    """Return the differences of the output of ``part``, shape (N, k), towards neighbours.
+    """Return the changes of the output of ``part``, shape (N, k), from this point to k neighbours.
 
-    ``summed(shape)`` is its input, shape (N,); each neighbour differs in the linear part or in the shape.
+    ``summed(shape)`` is the input of ``part``, shape (N,); each neighbour differs in the linear part or in the shape.
     Units: ``sample_time`` [s].
     """
     here = summed(shape)
@@ -250,7 +252,7 @@ def differences(part, shape, neighbours, summed, sample_time: float) -> np.ndarr
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V] from 0, in steps of half the range divided by ``count``.
 
-    A play whose radius is half the range never moves and is omitted, unless the path from rest moves it.
+    A play whose radius is half the range never moves; it is omitted, unless the path from rest moves it.
     """
     step = 0.5 * voltage_range / count
     return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
@@ -270,9 +272,9 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
 
 
 def cholesky_factor(gram) -> np.ndarray:
-    """Return the Cholesky factor of a Gram matrix of columns of unit length, of which some may be equal.
+    """Return the Cholesky factor of the Gram matrix of columns of unit length, some of which may be equal.
 
-    The diagonal that is added is as small as rounding errors allow, far below any noise.
+    The number added to the diagonal is as small as rounding errors allow, and far below any noise.
     """
     for floor in GRAM_FLOORS[:-1]:
         with contextlib.suppress(np.linalg.LinAlgError):
@@ -302,10 +304,10 @@ class WeightSolver:
         return strength * self.size * self.roughness
 
     def followed(self, moved, leaning, weights, strength: float) -> np.ndarray:
-        """Return the change of the residual, shape (N, k), for k changes dΦ of the regressors.
+        """Return the changes of the residual, shape (N, k), for k changes dΦ of the regressors.
 
-        ``moved`` is dΦ w, shape (N, k), and ``leaning`` dΦᵀ e with the residual e, shape (count, k). Weights of 0 stay
-        there, the others and the free coefficients follow.
+        ``moved`` is dΦ w, shape (N, k), and ``leaning`` is dΦᵀ e with the residual e, shape (count, k). Weights of 0
+        remain 0; the other weights and the free coefficients are solved again.
         """
         follows = np.append(weights > 0.0, np.ones(self.table.shape[1] - self.count, dtype=bool))
         penalty = np.zeros((len(self.roughness), self.table.shape[1]))

@@ -9,21 +9,22 @@
 
 """Identification of the polynomial branch model and of the preload curve (Kim, Kim & Park 2009; K2, K3).
 
-K2: triangles of growing peak are cut into loops, each loop gets its branch parabolas, and their coefficients become
-quadratics of the peak voltage V_max. Two conditions make the branches continuous:
+K2: triangles of growing peak are cut into loops. The branches of each loop are fitted by parabolas, and the
+coefficients of these parabolas become quadratics of the peak voltage V_max. Two conditions make the branches
+continuous:
 
-* both branches of a loop start in one lower corner, D_r = D_f, and meet in one upper corner (*per loop*);
+* both branches of a loop start at the same lower corner, D_r = D_f, and meet at the same upper corner (*per loop*);
 * the upper corners lie on the virgin curve, for every V_max (*for the quadratics*, as identities of polynomials).
 
 With these conditions nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2
 and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. For a given voltage, the output of the model is linear in
-its coefficients, also in minor loops, because branches change with the voltage only. The nine numbers are therefore
+its coefficients, even in minor loops, because the branch changes only with the voltage. The nine numbers are therefore
 fitted to all samples together by linear least squares, which works with any excitation. The paper rates a model by its
-largest error. Lawson's reweighting therefore moves the weights towards the largest residuals if the residual comes from
-the shape of the loops and not from noise. This halves the largest error when the loops do not have the shape of the
-model.
+largest error. If the residual comes from the shape of the loops and not from noise, Lawson's reweighting therefore
+increases the weights of the largest residuals. This halves the largest error for loops that do not have the shape of
+the model.
 
-K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
+K3, eqs 3-5: the preload curve W(L0) is fitted to displacement against preload.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ from hysteresis_ros.models.hysteresis.polynomial import (
 from hysteresis_ros.recordings.loops import REVERSAL
 from hysteresis_ros.units import shown_unit
 
-#: Smallest difference of the peaks of different loops, as a fraction of the largest.
+#: Smallest difference between the peaks of different loops, as a fraction of the largest peak.
 DIFFERENT_PEAKS = 0.02
 
 
@@ -76,7 +77,7 @@ class LoopCoefficients:
 
 
 def loop_table(voltage, displacement, branches):
-    """Return the loops (normalised units) and the virgin samples as (v, x)."""
+    """Return the loops (in normalised units), and the samples of the virgin curve as (v, x)."""
     loops, virgin, reached = [], [], 0.0
     for place, branch in enumerate(branches):
         if not branch.rising or branch.high <= reached:
@@ -126,7 +127,7 @@ def distinct_peaks(v, reversal) -> list[float]:
 
 
 def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
-    """Return in SI units a loop that was fitted in units of ``v_unit`` [V] and ``x_unit`` [m]."""
+    """Convert a loop that was fitted in units of ``v_unit`` [V] and ``x_unit`` [m] to SI units."""
     one, two = x_unit / v_unit, x_unit / v_unit**2
     return LoopCoefficients(
         v_max=float(loop.v_max * v_unit),
@@ -139,22 +140,23 @@ def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
     )
 
 
-#: The free parameters θ of a fit, in order; the last three need several peaks.
+#: The free parameters θ of a fit, in order; the last three need peaks at several voltages.
 FREE = ("D_v", "C_v1", "C_v2", "D_1", "C_r2", "C_f2", "D_2", "C_r2 slope", "C_f2 slope")
 SINGLE_PEAK_FREE = 6
-#: Parameters that are assumed small if the recording does not determine them, and the weight of this assumption.
+#: Parameters that are assumed small if the recording does not determine them, and weight of this assumption.
 SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
 #: Sample points of a branch parabola for the fit of quadratics of V_max, as a fraction of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-#: Lowest allowed voltage, as a fraction of the highest one (below 0 V); below it the model has no branches.
+#: Lowest allowed voltage, as a fraction of the highest voltage (negative: below 0 V); below it the model has no
+#: branches.
 LOWEST_PART = -0.35
 #: Smallest slope of a constrained fit, as a fraction of the mean slope.
 SMALLEST_SLOPE = 0.02
-#: Steps of Lawson's reweighting, and the smallest residual of a sample as a fraction of the largest.
+#: Number of steps of Lawson's reweighting, and smallest residual of a sample, as a fraction of the largest.
 REWEIGHTINGS = 30
 LEAST_WEIGHT = 0.15
-#: Ratio of residual to noise above which the residual counts as systematic.
+#: Ratio of residual to noise above which the residual is attributed to the shape of the loops.
 STRUCTURE = 2.0
 
 _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
@@ -166,12 +168,12 @@ class PolynomialIdentification:
 
     parameters: PolynomialParameters  #: The model.
     loops: tuple[LoopCoefficients, ...]  #: Coefficients of each single loop.
-    #: shape (21, 21); Covariance of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D,
-    #: falling_C1, falling_C2, three numbers each; for white residuals.
+    #: shape (21, 21); Covariance of the coefficients for white residuals, in the order virgin, rising_D, rising_C1,
+    #: rising_C2, falling_D, falling_C1, falling_C2, three numbers each.
     covariance: np.ndarray
     rms: float  #: rms, maximum: Residual of all samples [m].
     maximum: float
-    criterion: str  #: ``rms`` or ``maximum``: minimised error.
+    criterion: str  #: Error that was minimised: ``rms`` or ``maximum``.
     converged: bool  #: False if no monotone model was found.
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
@@ -183,7 +185,7 @@ class PolynomialIdentification:
 
 
 def _basis(count: int) -> np.ndarray:
-    """Return the matrix from θ to the 21 coefficients, shape (21, count), that keeps both corner conditions."""
+    """Return the matrix from θ to the 21 coefficients, shape (21, count), with which both corner conditions hold."""
     basis = np.zeros((7, 3, len(FREE)))
     d_v, c_v1, c_v2, d_1, c_r2, c_f2, d_2, c_r2_slope, c_f2_slope = range(len(FREE))
     basis[0, [0, 1, 2], [d_v, c_v1, c_v2]] = 1.0
@@ -230,7 +232,7 @@ def _slopes(basis, v_low) -> np.ndarray:
 
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
-    """Return θ of the quadratics of V_max nearest to the parabolas of the loops (K2 as in the paper)."""
+    """Return the θ of the quadratics of V_max that are nearest to the parabolas of the loops (K2 as in the paper)."""
     if not loops:
         raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
     rows, wanted = [], []
@@ -244,14 +246,14 @@ def _through_loops(loops, virgin, basis) -> np.ndarray:
                 rows.append(sum(v**i * (powers @ blocks[first + i]) for i in range(3)))
                 wanted.append(loop.D + v * (c1 + v * c2))
     v, x = virgin
-    weight = np.sqrt(len(wanted) / max(v.size, 1))  # with the same total weight as all loops
+    weight = np.sqrt(len(wanted) / max(v.size, 1))  # with the same total weight as all loops together
     table = np.concatenate([np.array(rows), weight * (np.vander(v, 3, increasing=True) @ basis[:3])])
     return np.linalg.lstsq(table, np.concatenate([wanted, weight * x]), rcond=None)[0]
 
 
 def _weights(matrix, wanted, criterion):
     """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` has selected."""
-    # the weights change 30 times, so an orthogonal basis is used, whose weighted normal equations are well conditioned
+    # the weights change 30 times: with an orthogonal basis the weighted normal equations stay well conditioned
     u, singular, _ = np.linalg.svd(matrix, full_matrices=False)
     u = u[:, singular > 1e-10 * singular[0]]
     weight = np.ones(len(wanted))
@@ -271,14 +273,14 @@ def _weights(matrix, wanted, criterion):
 
 
 def _with_prior(weight, matrix, wanted):
-    """Return the weighted problem with rows that keep undetermined parameters small."""
+    """Return the weighted problem with additional rows that keep undetermined parameters small."""
     size = SMALL_WEIGHT * np.sqrt(len(wanted))
     prior = size * np.eye(len(FREE))[[FREE.index(name) for name in SMALL], : matrix.shape[1]]
     return np.vstack([weight[:, None] * matrix, prior]), np.append(weight * wanted, np.zeros(len(prior)))
 
 
 def _monotone(theta, matrix, wanted, slopes, smallest):
-    """Return the least-squares θ whose slopes stay at or above ``smallest``, and whether it was found."""
+    """Return the least-squares θ with slopes of at least ``smallest``, and whether it was found."""
     from scipy.optimize import minimize  # imported here because only fits need it
 
     q, r = np.linalg.qr(matrix)
@@ -371,7 +373,7 @@ def _check_request(voltage, method: str, criterion: str) -> None:
 
 
 def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
-    """Return the number of parameters that the path (as a fraction of its peak) determines, and warnings."""
+    """Return how many parameters the path ``v`` (as a fraction of its peak) determines, and warnings."""
     count, warnings = len(FREE), []
     peaks = distinct_peaks(v, reversal)
     if len(peaks) < 3:
@@ -415,13 +417,13 @@ def _scale(v_unit: float, x_unit: float) -> np.ndarray:
 
 
 def _parameters(coefficients, low: float, high: float) -> PolynomialParameters:
-    """Return the model of the 21 coefficients for voltages ``low … high`` [V]."""
+    """Return the model with the given 21 coefficients for voltages ``low … high`` [V]."""
     named = zip(_NAMES, coefficients.reshape(7, 3), strict=True)
     rows: dict[str, Any] = {name: tuple(row.tolist()) for name, row in named}
     return PolynomialParameters(**rows, voltage_low=low, voltage_high=high)
 
 
-#: Least number of points of the curve.
+#: Least number of points of the preload curve.
 FEWEST_POINTS = 4
 
 
@@ -429,7 +431,7 @@ FEWEST_POINTS = 4
 class PreloadIdentification:
     """Result of :func:`identify_preload`."""
 
-    parameters: PreloadParameters  #: A1, B1 and B2, with the preload in use as ``force``.
+    parameters: PreloadParameters  #: A1, B1 and B2, and as ``force`` the preload in use.
     covariance: np.ndarray  #: shape (3, 3); Covariance of A1, B1 and B2.
     rms: float  #: Residual [m].
     stiffness: float  #: -1/(B1 + 2 B2 L0) [N/m], at the middle L0 of the recorded preloads.

@@ -9,27 +9,27 @@
 
 """Prandtl-Ishlinskii models from data, with lag, delay and creep: smooth density, classical, and modified.
 
-Three structures compete; one with more freedom is chosen only if it predicts held-out blocks of the recording better
-(:func:`.hammerstein.survivor`).
+Three structures are compared. A structure with more freedom is chosen only if it predicts held-out blocks of the
+recording better (:func:`.hammerstein.survivor`).
 
-*Smooth density* (few parameters): a reversible part (a fraction ρ of the motion), a density that falls exponentially
-with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map ``s(u) = u + a (u² - 1)/2
-+ b (u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both branches equally, which plays
-cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares. Loops of one
-amplitude hardly distinguish κ from the map: κ is kept at :data:`PRIOR_DECAY`, a value typical of other stacks, unless
-another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is realised by plays and the map by
-dead zones, so nodes run the model like any other of this kind.
+*Smooth density* (few parameters): a reversible part (a fraction ρ of the motion) and a density that falls exponentially
+with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage). Their sum u, scaled to -1 … 1 over the
+recording, passes through a cubic map ``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2``. The map bends both branches equally,
+which plays cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares.
+Loops of a single amplitude hardly distinguish κ from the map. κ therefore keeps the value :data:`PRIOR_DECAY`, which is
+typical of other stacks, unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
+realised by plays and the map by dead zones, so nodes run this model like any other Prandtl-Ishlinskii model.
 
 *Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
 *Modified*: dead zones in series after the plays, which bend both branches equally. The output is then bilinear in the
 two sets of weights, which follow from a few Gauss-Newton steps; each step is a constrained linear problem.
 
 *Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
-radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising and f'(v) + W((V - v)/2) on its
-falling branch. A change of W that is symmetric about V/4, with a compensating change of f', is therefore not
-observable, although it changes the gain of smaller loops. Densities ``exp(-κ r/h)`` for several κ are therefore fitted
-together with the identified linear part, each with its own map. All that fit about as well as the best one are
-possible, and their differences on smaller loops are the remaining uncertainty.
+radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising branch and f'(v) + W((V - v)/2) on
+its falling branch. Therefore a change of W that is symmetric about V/4, together with a compensating change of f',
+cannot be observed, although it changes the gain of smaller loops. To find such changes, densities ``exp(-κ r/h)`` with
+several κ are fitted together with the identified linear part, each with its own map. All densities that fit about as
+well as the best one are possible; their differences on smaller loops are the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ from hysteresis_ros.units import readable
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
-#: Relative change of the residual at which these steps have converged.
+#: Relative change of the residual at which the Gauss-Newton steps have converged.
 CONVERGED = 1e-5
 #: Smallest slope of the sum of all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
-#: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unnecessary slopes near zero.
+#: Penalty on the slopes that dead zones add, as RMS residual over stroke; it keeps unnecessary slopes near zero.
 ZONE_RIDGE = 1e-3
 
 
@@ -96,7 +96,7 @@ class FreeWeights(PlayFit):
         return self.plays
 
     def search(self, progress) -> PartSearch:
-        """Return the search for the linear part; with dead zones the residual is solved at every neighbour."""
+        """Return the search for the linear part; with dead zones the residual is solved for every neighbour."""
         if not self.zone_count:
             return super().search(progress)
 
@@ -114,7 +114,7 @@ class FreeWeights(PlayFit):
         return residual
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet."""
+        """Return an unfitted model of the same structure for other data."""
         other = FreeWeights(data, self.play_count, self.zone_count)
         other.guess = dict(self.found.values)
         return other
@@ -139,7 +139,7 @@ class FreeWeights(PlayFit):
         for _ in range(steps):
             zones = _zones(x, thresholds)
             slope = 1.0 + (zones != 0.0) @ zone_weights
-            # linearised: S'(x) Z w + d(x) s = y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
+            # linearised: S'(x) Z w + d(x) s = y - offset - [S(x) - S'(x) x - d(x) s], a sum of filtered zones
             kink = ((zones != 0.0) * x[:, None]) @ zone_weights
             table = np.column_stack([slope[:, None] * self.plays, zones, kink])
             table = data.counted(part.apply(table, data.sample_time))
@@ -186,13 +186,13 @@ class FreeWeights(PlayFit):
 
 
 def _zones(x, thresholds):
-    """Return the outputs of the dead zones, shape (N, k): zones for t ≥ 0 act above t, the others below."""
+    """Return the outputs of dead zones, shape (N, k): zones with t ≥ 0 act above t, those with t < 0 below t."""
     inside = x[:, None] - thresholds
     return np.where(thresholds >= 0.0, np.maximum(inside, 0.0), np.minimum(inside, 0.0))
 
 
 def _monotone(zone_weights, thresholds):
-    """Raise the weights of dead zones that would make the total slope too small."""
+    """Raise the weights of dead zones where the total slope would otherwise be too small."""
     result = np.array(zone_weights, dtype=float)
     for side in (np.flatnonzero(thresholds >= 0.0), np.flatnonzero(thresholds < 0.0)[::-1]):
         slope = 1.0
@@ -203,24 +203,24 @@ def _monotone(zone_weights, thresholds):
 
 
 def few_columns(table, target) -> np.ndarray:
-    """Return the least-squares coefficients of two or three columns, for targets of shape (N,) or (N, k).
+    """Return the coefficients of two or three columns by least squares, for targets of shape (N,) or (N, k).
 
-    An orthogonal factor and a small system take a fraction of the time of the singular values of all samples.
+    A QR factorisation and a small system take a fraction of the time of a singular value decomposition of all samples.
     """
     basis, triangle = np.linalg.qr(table)
     return np.linalg.lstsq(triangle, basis.T @ target, rcond=None)[0]
 
 
-#: Default value of κ, for data that does not determine it, and the range of its search.
+#: Value of κ for data that does not determine it, and range of the search for κ.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
-#: Initial values and ranges of the other parameters; within them the map rises everywhere.
+#: Initial values and ranges of the other shape parameters; within these ranges the map rises everywhere.
 DENSITY_SHAPE = (
     ("elastic_share", 0.6, 0.02, 1.0),
     ("map_slope", 0.0, -0.7, 0.7),
     ("map_curvature", 0.0, -0.25, 0.4),
 )
-#: Number of linear pieces of the map over the recording, and smallest change of slope between them.
+#: Number of linear pieces of the map over the recording, and smallest change of slope between two pieces.
 PIECES = 16
 TINY = 1e-9
 
@@ -245,14 +245,14 @@ class SmoothDensity:
         return PartSearch(self.solve, self.data, shape, progress, self.slopes)
 
     def fit(self, linear, progress):
-        """Search linear part and shape with κ at its prior, then test whether the data determines κ."""
+        """Search linear part and shape with κ at its default, then test whether the data determines κ."""
         self.decay = PRIOR_DECAY
         search = self.search(progress)
         kept, base, held = search_linear_part(search, linear, self.guess)
         return self._finish(search, kept, base, held, progress)
 
     def settle(self, before, progress):
-        """Search the shape, and the parameters of a linear part with known structure; then test κ."""
+        """Search the shape, and the parameters of a linear part with known structure; then test κ like :meth:`fit`."""
         self.decay = PRIOR_DECAY
         search = self.search(progress)
         held = search.run(before.kept, before.found.values, before.base)
@@ -280,7 +280,7 @@ class SmoothDensity:
         return self
 
     def solve(self, part, shape) -> np.ndarray:
-        """Return the residual [m] of the best scale and constant."""
+        """Return the residual [m] with the best scale and constant."""
         data = self.data
         moved = data.counted(part.apply(self.moved(shape), data.sample_time))
         table, target = np.column_stack([moved, data.counted(data.constants)]), data.counted(data.displacement)
@@ -289,10 +289,12 @@ class SmoothDensity:
         return target - table @ solution
 
     def slopes(self, part, shape, neighbours) -> np.ndarray:
-        """Return the differences of the residual [m] towards neighbouring pairs of part and shape, shape (N, k).
+        """Return the changes of the residual [m] from this point to k neighbours, shape (N, k).
 
-        Scale and constants follow (variable projection in the simplification of Kaufman, BIT 15, 1975: its gradient of
-        the squared residual is exact).
+        Each neighbour is a pair (linear part, shape parameters).
+
+        Scale and constants are solved again for each neighbour (variable projection in the simplification of Kaufman,
+        BIT 15, 1975, in which the gradient of the squared residual is exact).
         """
         table, frame = self.table, (self.centre, self.span)
         changes = self.scale * self.data.counted(
@@ -302,7 +304,7 @@ class SmoothDensity:
         return table @ few_columns(table, changes) - changes
 
     def moved(self, shape) -> np.ndarray:
-        """Return the input of the linear part, shape (N,), at unit scale and zero at rest."""
+        """Return the input of the linear part, shape (N,), for a scale of 1; it is zero at rest."""
         share = shape["elastic_share"]
         sums = (share / (2.0 * self.half)) * self.data.voltage + (1.0 - share) * self._played(shape)
         counted = sums[self.data.first :]
@@ -310,7 +312,7 @@ class SmoothDensity:
         return self._map(sums, shape) - self._map(0.0, shape)
 
     def _weights(self, shape) -> np.ndarray:
-        """Return the weights of the voltage and of the plays, which make each part move by about its share."""
+        """Return the weights of voltage and plays with which each part moves by about its fraction of the motion."""
         density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
         moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
         share = shape["elastic_share"]
@@ -332,7 +334,7 @@ class SmoothDensity:
         return u + bent + end * (u - inside)
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet."""
+        """Return an unfitted model of the same structure for other data."""
         other = SmoothDensity(data, self.play_count)
         other.guess = dict(self.found.values)
         return other
@@ -359,7 +361,7 @@ class SmoothDensity:
         above, rising = self._pieces(width, high)
         below, falling = self._pieces(-width, low)
         first = float(rising[0]) if len(rising) else float(falling[0])
-        # a corner at the rest position belongs to the upper side; the lower side starts just below it
+        # a corner at the rest position belongs to the upper side; the lower side starts just below this position
         corners = np.append(above[1:], np.where(below == 0.0, -TINY * (high - low), below))
         steps = np.append(np.diff(rising), np.diff(falling, prepend=first)) / first
         bends = np.abs(steps) > TINY
@@ -374,7 +376,7 @@ class SmoothDensity:
         return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
 
     def _pieces(self, width: float, end: float):
-        """Return inner corners and slopes of the scaled map in straight pieces from rest to ``end``."""
+        """Return inner corners and slopes of the scaled map as straight pieces from rest to ``end``."""
         count = int(np.ceil(end / width - 1e-9))
         corners = width * np.arange(count + 1)
         heights = self.scale * self._map(corners, self.shape)
@@ -414,7 +416,7 @@ def fit_prandtl_ishlinskii(
     def choose(data):
         return _chosen(data, play_count, zone_count, density, linear, progress, competitors)
 
-    def again(before, data, settled):  # for a repeated fit without outliers, or with other dynamics
+    def again(before, data, settled):  # used for a repeated fit without outliers, or with other dynamics
         other = before.like(data)
         return judged_again(other.settle(before, progress) if settled else other.fit(linear, progress), before)
 
@@ -435,7 +437,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
         if density == "exponential":
             return competitors[0]
         competitors.append(FreeWeights(competitors[0].data, play_count, 0).fit(linear, progress))
-    # dead zones with the best linear part found without them; if accepted, its numbers are searched again
+    # dead zones are fitted with the best linear part found without them; if accepted, the linear part is searched again
     nearest = min(competitors, key=lambda fit: fit.rms)
     zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(nearest.part)
     competitors.append(zones)
@@ -453,14 +455,14 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     return chosen
 
 
-#: Tried values of κ, and number of plays per density.
+#: Tried values of κ, and number of plays of each density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
-#: Number of half swings of the decaying loops for the comparison, and of points of each.
+#: Number of half swings of the decaying loops on which densities are compared, and number of points of each half swing.
 SWINGS, POINTS = 16, 40
 #: Size of the small loop, as a fraction of the range.
 SMALL = 0.1
-#: Least size of the recorded loops whose speed is used, as a fraction of the range.
+#: Smallest size of the recorded loops whose speed is used, as a fraction of the range.
 LARGE = 0.5
 EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 
@@ -470,12 +472,12 @@ class Ambiguity:
     """Other models that fit about as well as the chosen one."""
 
     decays: tuple[float, float]  #: Lowest and highest κ that fit about as well as the best.
-    #: Lowest and highest gain, of all possible models, for loops over a tenth of the range, relative to the chosen
-    #: model.
+    #: Lowest and highest gain, over all possible models, for loops over a tenth of the range, relative to the gain of
+    #: the chosen model.
     gain: tuple[float, float]
-    error: float  #: Largest RMS difference from the model on loops of decaying amplitude [m].
+    error: float  #: Largest RMS difference of a possible model from the chosen one on loops of decaying amplitude [m].
     stroke: float  #: Stroke of the recording [m].
-    held: bool  #: Whether κ keeps its default value.
+    held: bool  #: Whether κ has its default value.
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -491,7 +493,7 @@ class Ambiguity:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warning about the ambiguity with its remedy; empty if the recording determines the model."""
+        """Warning about the ambiguity, with a remedy; empty if the recording determines the model."""
         if self.error < NOTABLE_AMBIGUITY * self.stroke:
             return ()
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
@@ -505,13 +507,13 @@ class Ambiguity:
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return the difference of the model from densities and maps that fit equally well; None if there are no others."""
+    """Return how far densities and maps that fit equally well differ from the model; None if there are no others."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     if chosen.type == "preisach" and least > POOR * data.stroke:
-        return None  # densities of this kind say nothing about such loops
+        return None  # these densities say nothing about such loops
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
-    # as fast as the loops of the recording: at another speed, those of a rate-dependent model differ for that reason
+    # at the speed of the recorded loops, because the loops of a rate-dependent model change with the speed
     sample_time = float(np.mean(np.abs(np.diff(voltage)))) / _speed(data)
     own = _response(chosen, voltage, sample_time)
     decays, gains, errors = [], [1.0], [0.0]
@@ -541,7 +543,7 @@ def _decaying(low: float, high: float) -> np.ndarray:
 
 
 def _speed(data: Condensed) -> float:
-    """Return the mean speed [V/s] of the voltage between the ends of its large loops, the median over these."""
+    """Return the speed [V/s] of the voltage between the ends of its large loops: the median of the mean speeds."""
     turns = turning_points(data.voltage, LARGE)
     return float(np.median(np.abs(np.diff(data.voltage[turns])) / np.diff(turns))) / data.sample_time
 

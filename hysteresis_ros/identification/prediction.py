@@ -9,13 +9,13 @@
 
 """Predictions of an identified plant: the displacement for a voltage, and the voltage for a displacement.
 
-The chain is simulated without limits and sensor, by the kernels of the nodes. With ``zoh`` (the voltage is held, as a
-converter does) the result equals the measurement of the plant node sample by sample. ``linear`` and ``bandlimited``
-assume a linear or band-limited input between the samples, as for a sampler with its own clock.
+The chain is simulated by the kernels of the nodes, without limits and sensor. With ``zoh`` (the voltage is held, as by
+a converter) the result equals the measurement of the plant node sample by sample. ``linear`` and ``bandlimited`` assume
+a linear or band-limited input between the samples, as for a sampler with its own clock.
 
-Inverse validation computes the voltage from the measured displacement and compares it with the applied one. A smoothed
-derivative inverts the lag (offline, it may use later samples); the compensator of the nodes inverts creep and
-hysteresis. These voltage errors are errors of the model divided by its local slope.
+The validation of the inverse computes the voltage from the measured displacement and compares it with the applied
+voltage. The lag is inverted by a smoothed derivative (offline, so later samples may be used); creep and hysteresis are
+inverted by the compensator of the nodes. The voltage errors are the errors of the model divided by its local slope.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.registry import resolved
 
-#: Fraction of the range of the identification by which the voltage may exceed it on each side.
+#: Fraction of the voltage range of the identification by which the voltage may exceed this range on each side.
 VOLTAGE_MARGIN = 0.1
 
 
@@ -92,9 +92,9 @@ def recover_voltage(
 
 #: Known initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
-#: Largest relative difference of sample times that count as equal.
+#: Sample times count as equal up to this relative difference.
 SAME_RATE = 1e-4
-#: Largest number of states with distinguishable free responses.
+#: Largest number of states for which free responses can be distinguished from one another.
 MOST_FREE = 12
 
 
@@ -154,7 +154,7 @@ def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=Non
 
 
 def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:
-    """Return the voltages before the first one that explain the measurement best."""
+    """Return the voltages before the first sample with which the model fits the measurement best."""
     last = wiped_out(voltage)
     v, y = voltage[:last], measured[:last]
     largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))
@@ -222,7 +222,7 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
 
 
 def _free_response(chain: PlantModel, residual) -> np.ndarray:
-    """Return the free response of the dynamics, fitted by least squares with a constant that is then discarded."""
+    """Return the free response of the dynamics, fitted by least squares together with a constant that is discarded."""
     if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
         return np.zeros_like(residual)
     model = chain.dynamics.state_space
@@ -246,7 +246,7 @@ def judge(
     fitted: int = 0,
     inverse: bool = True,
 ) -> tuple[Validation, InverseValidation | None, dict, list[str]]:
-    """Compare prediction and measurement, and inverse and applied voltage; return the figures and notes too.
+    """Compare prediction with measurement, and recovered with applied voltage; return both, figures and notes.
 
     Units: ``predicted`` [m].
     """
@@ -264,7 +264,7 @@ def judge(
 
 
 def _recovered(chain: PlantModel, data: IdentificationData, skip: int, free_offset: bool) -> InverseValidation | str:
-    """Return the validation of the inverse, or the reason why it is missing."""
+    """Return the validation of the inverse, or the reason why there is none."""
     if not chain.invertible:
         return f"{chain.hysteresis.type} includes dynamics and has no inverse"
     try:

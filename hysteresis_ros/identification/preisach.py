@@ -9,15 +9,16 @@
 
 """Preisach models from data, together with lag, delay and creep.
 
-One large loop does not determine a Preisach density over two variables, so the fit uses the simplest density for such
-loops: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width of an
-elementary loop and linear in its bias. The Everett map of such a density is that of plays driven by the mapped voltage
-``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
-squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's law.
+One large loop does not determine a Preisach density over two variables, so the fit uses a simple density that such
+loops determine: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width
+of an elementary loop and linear in the bias of the loop. The Everett map of this density is that of plays driven by the
+mapped voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range). The weights follow by
+linear least squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's
+law.
 
 A *free* density (:class:`FreeDensity`) has a weight ≥ 0 for each cell of the plane of thresholds. It describes every
-loop with return-point memory whose branches rise: loops that saturate, with a dead zone, with branches of different
-shape. It needs loops of several sizes.
+loop with return-point memory and rising branches: loops that saturate, loops with a dead zone, and loops whose branches
+differ in shape. Its fit needs loops of several sizes.
 """
 
 from __future__ import annotations
@@ -34,13 +35,15 @@ from hysteresis_ros.models.hysteresis.preisach import PreisachHysteresis, Preisa
 
 WIDTHS = 24
 NODES = 33
-#: Cells of a free density over the range of the recording, on each side, and largest number of nodes of its map.
+#: Number of cells of a free density along each threshold, over the range of the recording, and largest number of nodes
+#: of the map.
 FREE_CELLS, MOST_NODES = 16, 65
-#: Numbers of samples and of cells on each side with which the linear part behind a free density is searched.
+#: Number of samples, and of cells along each threshold, for the search of the linear part after a free density.
 SEARCHED, SEARCHED_CELLS = 1500, 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
-#: Largest magnitude of κ, the dependence of the density on the bias. g(V), see above, is monotone up to 0.5.
+#: Largest magnitude of κ, which states how the density depends on the bias. g(V) (see above) is monotone for κ up to
+#: 0.5.
 LARGEST_BIAS = 0.4
 
 
@@ -72,7 +75,7 @@ def fit_preisach(
 
 
 class Density(PlayFit):
-    """Weights over the width of elementary loops, and their dependence on the bias."""
+    """Weights over the width of elementary loops, and their dependence on the loops' bias."""
 
     extra = (("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS),)
 
@@ -85,7 +88,7 @@ class Density(PlayFit):
         self.centre, self.half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         spacing = self.half / widths
         self.radii = radii(2.0 * self.half, widths) + 0.5 * spacing
-        # second differences of the density, for steps of the width in units of half the range
+        # second differences of the density, if the width is counted in units of half the range
         self.roughness = np.diff(np.eye(widths + 1), 2, axis=0)[1:] * np.sqrt(widths)
 
     def bent(self, voltage, bias: float):
@@ -98,7 +101,7 @@ class Density(PlayFit):
         voltage, bias = self.data.voltage, shape["bias"]
         g = self.bent(voltage, bias)
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
-        # from the lower end up to 0 V: the initial state of the Preisach block
+        # the initial state of the Preisach block: from the lower end of the range up to 0 V
         start = np.maximum(bottom + self.radii, rest - self.radii)
         before = plays(self.bent(np.array([0.0, *self.data.history]), bias), self.radii, start)[-1]
         return np.column_stack([voltage, plays(g, self.radii, before) - start])
@@ -113,7 +116,7 @@ class Density(PlayFit):
         for weight, radius in zip(self.weights[1:], self.radii, strict=True):
             table += weight * np.maximum(grid[:, None] - grid[None, :] - 2.0 * radius, 0.0)
         slope = max(float(self.weights[0]), 1e-6 * float(self.weights.sum()))
-        # the block's output is relative to its lower end, the regressors are relative to 0 V
+        # the output of the block is relative to its lower end, but the regressors are relative to 0 V
         rest = float(np.interp(0.0, voltages, table[:, 0])) - slope * self.low
         parameters = PreisachParameters(
             voltage_low=self.low,
@@ -132,7 +135,7 @@ class FreeDensity(PlayFit):
         super().__init__(data)
         self.cell_count = cells
         low, high = float(data.voltage.min()), float(data.voltage.max())
-        # the map contains 0 V, where a model starts; only cells within the recording have weights
+        # the map includes 0 V, where a model starts; only cells within the recording have weights
         spacing = max((high - low) / cells, (max(high, 0.0) - min(low, 0.0)) / (MOST_NODES - 2))
         below, above = np.ceil(max(low, 0.0) / spacing), np.ceil(max(high - low, -low) / spacing - 1e-9)
         self.low, self.nodes = float(low - spacing * below), int(below + above) + 1
@@ -151,7 +154,7 @@ class FreeDensity(PlayFit):
         self.table: np.ndarray | None = None
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet."""
+        """Return an unfitted model of the same structure for other data."""
         other = FreeDensity(data, self.cell_count)
         other.guess = dict(self.found.values)
         return other
@@ -163,19 +166,19 @@ class FreeDensity(PlayFit):
         return self._with(self._coarse().fit(linear, progress))
 
     def settle(self, before, progress):
-        """Search the parameters of a linear part with known structure in the same way."""
+        """Search the parameters of a linear part with known structure, first with few cells as :meth:`fit` does."""
         if self.cell_count <= SEARCHED_CELLS:
             return super().settle(before, progress)
         return self._with(self._coarse().settle(before, progress))
 
     def _coarse(self) -> FreeDensity:
-        """Return a fit with few cells to coarse data."""
+        """Return a fit with few cells on coarse data."""
         found = FreeDensity(coarser(self.data, SEARCHED), SEARCHED_CELLS)
         found.guess = self.guess
         return found
 
     def _with(self, found: FreeDensity):
-        """Compute all weights with the linear part of another fit."""
+        """Compute all weights with the linear part of the fit ``found``."""
         self.kept, self.base, self.found, self.part, self.shape = (
             found.kept, found.base, found.found, found.part, found.shape
         )  # fmt: skip
@@ -184,7 +187,7 @@ class FreeDensity(PlayFit):
         return self
 
     def columns(self, shape) -> np.ndarray:
-        """Return the voltage over its range, and the output of each cell of unit weight, shape (N, 1 + cells)."""
+        """Return the voltage divided by its range, and the output of each cell for weight 1, shape (N, 1 + cells)."""
         if self.table is None:
             found = [self.data.voltage / self.span]
             for number in range(len(self.cells)):
@@ -198,7 +201,7 @@ class FreeDensity(PlayFit):
         return self.table
 
     def map(self, weights, slope: float, offset: float = 0.0) -> PreisachParameters:
-        """Return the Everett map of the weights of the cells."""
+        """Return the Everett map for the weights of the cells."""
         density = np.zeros((self.nodes, self.nodes))
         for weight, (i, j) in zip(weights, self.cells, strict=True):
             density[i + 1, j] = weight

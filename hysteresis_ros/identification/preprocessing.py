@@ -12,14 +12,14 @@
 1. :func:`prepared`, once for each recording: stamps that jitter around a uniform grid are corrected (:func:`steadied`).
    Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated (:func:`resample`). Missing
    samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
-   shows most of the loops, and averages neighbouring samples as long as the removed frequencies contain only noise.
+   shows most of the loops, and averages neighbouring samples as long as this removes only noise.
 2. Voltage history before the recording: samples are omitted until the voltage has been near both ends of its range
    (:func:`wiped_out`), or the voltage that left the actuator remanent is identified (:func:`remanent_voltage`).
-3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Models with a law for each
-   branch use :func:`split_branches` instead.
-4. :func:`repeated`, around each fit: outliers and drift are found in its residual and removed, and the fit is repeated.
-   Fits of plays omit outliers and have a column for the drift; other models need complete branches, so both are
-   subtracted from their recording (:func:`cleaned`).
+3. :func:`condense`, for each fit of plays: averages over blocks of samples, as long as the loops allow. Models with a
+   law for each branch use :func:`split_branches` instead.
+4. :func:`repeated`, around each fit: outliers and drift are found in the residual of the fit and removed, and the fit
+   is repeated. Fits of plays omit outliers and have a column for the drift. Other models need complete branches, so
+   outliers and drift are removed from the recording instead (:func:`cleaned`).
 """
 
 from __future__ import annotations
@@ -69,29 +69,29 @@ def prepared(
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 
-#: Uniform times are assumed if the roughness of the signals with them is below this fraction of the roughness with the
-#: recorded stamps.
+#: Uniform times are assumed if the roughness of the signals on a uniform grid is below this fraction of their roughness
+#: with the recorded stamps.
 SMOOTHER = 0.7
 #: Intervals longer than this multiple of the median interval are gaps.
 GAP_DISTANCE = 1.5
-#: Gaps up to this many samples are bridged automatically; with longer ones, the longest part without gaps is used if it
-#: contains this fraction of the samples.
+#: Gaps of at most SHORT_GAP samples are bridged automatically. With longer gaps, the longest part without a gap is used
+#: if it contains at least the fraction LONG_ENOUGH of the samples.
 SHORT_GAP, LONG_ENOUGH = 3, 0.3
 
 
 def steadied(data: IdentificationData) -> IdentificationData:
     """Return the data on a uniform grid if the signals show that only their stamps jitter.
 
-    A computer often stamps a sample late although the converter took it at the right instant. Each sample is predicted
-    by the cubic through the two samples before and the two after it, once with the stamps and once with equal
-    distances; the right assumption predicts better.
+    A computer often stamps a sample late although the converter took it at the right time. Each sample is predicted by
+    the cubic through the two samples before and the two after it, once with the recorded stamps and once with equal
+    intervals; the right assumption predicts better.
     """
     if len(data) < 20:
         return data
     distances = np.diff(data.time)
     median = float(np.median(distances))
     index = np.arange(len(data)) - 0.5 * (len(data) - 1)
-    # a line through all stamps, because the first and last one also jitter
+    # a line fitted to all stamps, because the first and last stamps jitter too
     grid = data.time.mean() + index * (np.dot(index, data.time - data.time.mean()) / np.dot(index, index))
     beside = float(np.max(np.abs(data.time - grid)))
     if beside <= GRID_TOLERANCE * median or distances.max() > 2.5 * median or beside > 5.0 * median:
@@ -114,8 +114,8 @@ def steadied(data: IdentificationData) -> IdentificationData:
 def uninterrupted(data: IdentificationData) -> IdentificationData:
     """Return data on a uniform grid without gaps: with short gaps bridged, or the longest part without a gap.
 
-    The input during a longer gap is unknown, and therefore also the memory of a hysteresis after it. Samples without
-    input or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
+    The input during a longer gap is unknown, and so is the memory of a hysteresis after the gap. Samples without input
+    or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
     """
     finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
     if finite.size < 50:
@@ -187,7 +187,7 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
 
 
 def _gaps(distances, median):
-    """Return which intervals are gaps; jitter up to three standard deviations is not a gap."""
+    """Return which intervals are gaps; jitter of up to three standard deviations does not count as a gap."""
     jitter = 1.5 * float(np.median(np.abs(distances - median)))
     return distances > max(GAP_DISTANCE * median, median + 3.0 * jitter)
 
@@ -211,7 +211,7 @@ def _bridged(time, median, rows):
 
 
 def _jittering(time, median):
-    """Yield a warning about jitter, without the gaps."""
+    """Yield a warning about jitter of the intervals that are not gaps."""
     distances = np.diff(time)
     whole = np.maximum(np.rint(distances / median), 1.0)
     beside = float(np.quantile(np.abs(distances - whole * median), 0.99))
@@ -225,33 +225,33 @@ def _jittering(time, median):
 def _decimated(values, factor):
     taps = scipy.signal.firwin(20 * factor + 1, 0.8 / factor, window=("kaiser", 8.0))
     half = 10 * factor
-    # mirrored about the ends, so that level and slope continue
+    # mirrored about the ends, so that level and slope are continuous
     head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
     if len(head) < half or len(tail) < half:
         raise DataError("resample", f"{len(values)} samples are too few for a grid that is {factor} times coarser")
     return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
 
 
-#: Recordings with more samples than this are reduced to at most this number, or a multiple of it for sweeps …
+#: Recordings with more samples than this are reduced to at most this number (for sweeps, a multiple of it) …
 MOST_SAMPLES = 100_000
 #: … and to at least this number.
 FEWEST_REDUCED = 6000
-#: Numbers of full strokes (both directions count) and of samples of an interval. They are tried in order until an
-#: interval contains as much information as the whole recording: for a simple fit, for many different loops, and for
-#: sweeps, whose parts all differ.
+#: Limits of the length of an interval: number of full strokes (both directions count) and number of samples. They are
+#: tried in order until an interval contains as much information as the whole recording. The first suffices for a simple
+#: fit, the second for many different loops, the third for sweeps, whose parts all differ.
 STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
-#: An interval with this fraction of the loops of the best one counts as equally good.
+#: An interval with at least this fraction of the information of the best one counts as equally good.
 AS_GOOD = 0.9
-#: Number of candidates for the beginning of the interval.
+#: Number of tried beginnings of the interval.
 TRIED = 20
 #: Number of levels by which turning points are distinguished.
 LEVELS = 20
-#: Largest lost power above the new band, as a fraction of the signal …
+#: Largest amplitude that averaging may remove, above the remaining band, as a fraction of the signal …
 LOST = 3e-4
-#: … and smallest ratio of the new rate to the highest kept frequency.
+#: … and smallest ratio of the new sample rate to the highest frequency that is kept.
 OVERSAMPLING = 8.0
-#: Numbers of samples for the search of turning points, and of a segment of the spectrum; least and largest number of
-#: segments.
+#: Numbers of samples for the search of turning points (OVERVIEW), and of one segment of the spectrum (SEGMENT); least
+#: and largest number of segments.
 OVERVIEW = 500_000
 SEGMENT = 1 << 14
 SEGMENTS = 24
@@ -263,7 +263,7 @@ ABOVE_FLOOR = 3.0
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
     """Return an interval of long data with neighbouring samples averaged, and a note; return short data unchanged.
 
-    Each sample is at the middle of the averaged ones; :attr:`IdentificationData.factor` is their number.
+    Each returned sample is at the middle of the averaged ones; :attr:`IdentificationData.factor` is their number.
     """
     if len(data) <= MOST_SAMPLES:
         return data
@@ -291,13 +291,13 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
 
 
 def block_means(values: np.ndarray, factor: int) -> np.ndarray:
-    """Return the means of ``factor`` neighbouring values each, shape (N // factor,)."""
+    """Return the means of consecutive blocks of ``factor`` values, shape (N // factor,)."""
     count = values.size // factor
     return values[: count * factor].reshape(count, factor).mean(axis=1)
 
 
 def _telling_stretch(voltage, averaged: int):
-    """Return first and last sample of the most informative interval, and the number of full strokes in all data."""
+    """Return begin and end of the most informative interval, and the number of full strokes in all data."""
     block = math.ceil(voltage.size / OVERVIEW)
     coarse = block_means(voltage, block)
     turns = turning_points(coarse)
@@ -336,7 +336,7 @@ def _telling_stretch(voltage, averaged: int):
 
 
 def _shown(levels, speeds) -> float:
-    """Return the information in turning points at these levels: different loops and speeds, weighted by the range."""
+    """Return the information in turning points: the number of different loops and speeds, weighted by the range."""
     loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
     reach = np.ptp(levels) / LEVELS if levels.size else 0.0
     return reach**4 * len(loops)
@@ -345,7 +345,7 @@ def _shown(levels, speeds) -> float:
 def highest_frequency(values, sample_time: float) -> float:
     """Return the frequency [Hz] above which there is only noise; 0 if there is only noise."""
     size = min(SEGMENT, values.size // SEGMENTS)
-    # segments are spread over the recording; more segments would not change the band
+    # segments are spread over the recording; more segments would not change the result
     starts = np.linspace(0, values.size - size, min(MOST_SEGMENTS, values.size // size)).astype(int)
     values = np.concatenate([values[start : start + size] for start in starts])
     frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, noverlap=0, detrend="linear")
@@ -356,9 +356,10 @@ def highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: Length of an interval; if most of its samples deviate, they are not outliers.
+#: Length of the interval whose median is subtracted from each sample. If most of an interval deviates, its samples are
+#: not outliers.
 STRETCH = 11
-#: An outlier is away from its neighbours by at least this fraction of its error.
+#: An outlier differs from its neighbours by at least this fraction of its error.
 AWAY = 0.5
 #: Number of held-out blocks for the test of a drift.
 BLOCKS = 5
@@ -375,12 +376,12 @@ class Cleaned(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences about drift and outliers, which the model excludes."""
+        """Sentences about drift and outliers, which are not part of the model."""
         return cleaning_notes(self.drift, self.outliers)
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The figures that are not zero."""
+        """The figures (drift, outliers) that are not zero."""
         drift = {"drift_m_per_s": self.drift} if self.drift else {}
         return drift | ({"outliers": float(self.outliers)} if self.outliers else {})
 
@@ -408,9 +409,9 @@ def inliers(error, first: int) -> np.ndarray:
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     good = _within(error, first) | _within(alone, first)
-    # the peak of a smooth error is near its neighbours, even if noise is smaller still
+    # the peak of a smooth error is near its neighbours, even if the noise is smaller than their difference
     good |= np.abs(alone) < AWAY * np.abs(error - np.median(error[first:]))
-    # ringing faster than a median filter is no outlier: its samples are dense
+    # ringing too fast for a median filter is not an outlier: it affects many samples close together
     width = 2 * STRETCH + 1
     near = scipy.ndimage.uniform_filter1d((~good).astype(float), width, mode="constant") * width
     return good | (near > STRETCH // 2 + 0.5)
@@ -424,9 +425,9 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
-    """Return which samples are not outliers, shape (N,) of bool; None if outliers are too many, or too small to matter.
+    """Return which samples are not outliers, shape (N,) of bool; None if outliers are too many, or hardly matter.
 
-    The criterion is their fraction of the squared error of the samples that are still in use, ``known``.
+    They matter if they cause enough of the squared error of the samples that are still in use, ``known``.
     """
     good = inliers(error, first)
     used = np.ones(len(error), dtype=bool) if known is None else known.copy()
@@ -440,9 +441,10 @@ def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
 
 
 def repeated(fit, look, state):
-    """Return the state of the data and the result of ``fit(state, before)``, repeated until ``look`` finds nothing new.
+    """Return data state and result of ``fit(state, before)``, repeated until ``look`` finds nothing new.
 
-    ``look(result, state)`` returns the data without the outliers and the drift that the result shows, or None.
+    ``look(result, state)`` returns the data without the outliers and the drift that the result shows, or None if
+    unchanged.
     """
     result = fit(state, None)
     for _ in range(ROUNDS):
@@ -454,7 +456,7 @@ def repeated(fit, look, state):
 
 
 def drift_of(error, kept) -> float:
-    """Return the growth per sample of an error, shape (N,); 0 if a drift does not predict held-out blocks."""
+    """Return the drift of an error, shape (N,), per sample; 0 if a drift does not predict held-out blocks."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -474,7 +476,7 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     Units: ``predicted`` [m], ``drift`` [m/s].
     """
     clipped = clipped_samples(data.output, data.input)
-    if clipped.any():  # the prediction replaces clipped samples
+    if clipped.any():  # predicted values replace clipped samples
         data = replace(
             data, output=np.where(clipped, predicted + np.median((data.output - predicted)[~clipped]), data.output)
         )
@@ -492,17 +494,17 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     return Cleaned(replace(data, output=predicted + error), drift, int(np.count_nonzero(~good)))
 
 
-#: Data is averaged until the voltage moves by this fraction of its range in one sample …
+#: Blocks of samples are averaged, at most until the voltage moves by this fraction of its range from block to block …
 LARGEST_STEP = 0.02
 #: … and only as far as necessary for this number of samples.
 ENOUGH_SAMPLES = 6000
-#: The memory of earlier inputs is erased when the input has come this close to both ends (fraction of its range); the
-#: fit starts there.
+#: The memory of earlier inputs counts as erased when the input has come this close to both ends of its range (fraction
+#: of the range); the fit starts there.
 WIPED_OUT = 0.05
 
-#: Swings above this fraction of the range count as equal.
+#: Loops count as equal if their swings exceed this fraction of the range.
 ONE_SIZE = 0.8
-#: Fraction of the range by which the input must rise and fall afterwards.
+#: Fraction of the range by which the input must rise and fall after the memory is erased.
 LEAST_SWING = 0.5
 
 
@@ -514,16 +516,16 @@ class Condensed:
     displacement: np.ndarray
     sample_time: float  #: [s]
     first: int  #: First sample whose residual counts.
-    factor: int  #: Number of averaged samples of the recording.
-    kept: np.ndarray  #: shape (N - first,); Which of the counted samples are not outliers.
+    factor: int  #: Number of samples of the recording in each average.
+    kept: np.ndarray  #: shape (N - first,); Which of the samples from ``first`` on are not outliers.
     #: First counted sample that the voltage history before the recording does not affect; None if it affects all.
     erased: int | None = 0
     drifts: bool = False  #: Whether the displacement may contain a linear drift in addition to a constant.
-    #: Voltages [V] before the first sample, from rest at 0 V, which determine the memory of the hysteresis.
+    #: Voltages [V] before the first sample, starting from rest at 0 V; they determine the memory of the hysteresis.
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
-        """Return those of ``values``, shape (N, ...), whose residual counts."""
+        """Return the rows of ``values``, shape (N, ...), that count: those from ``first`` on, without outliers."""
         counted = values[self.first :]
         return counted if self._all_kept else counted[self.kept]
 
@@ -539,7 +541,7 @@ class Condensed:
 
     @property
     def skipped(self) -> int:
-        """Number of first samples of the recording that do not count."""
+        """Number of samples at the beginning of the recording that do not count."""
         return self.first * self.factor
 
     @property
@@ -549,12 +551,12 @@ class Condensed:
 
     @property
     def reach(self) -> float:
-        """Radius [V] beyond which no play moves: half the range, or for a start from rest the largest voltage."""
+        """Radius [V] from which on a play never moves: half the range, or for a start from rest the largest voltage."""
         half = 0.5 * self.voltage_range
         return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
 
     def plays(self, play_radii) -> np.ndarray:
-        """Return the outputs, shape (N, m), of plays that went through the history before the first sample."""
+        """Return the outputs, shape (N, m), of plays that have passed through the history before the first sample."""
         before = plays(np.array([0.0, *self.history]), play_radii)[-1]
         return plays(self.voltage, play_radii, before)
 
@@ -572,8 +574,8 @@ class Condensed:
 def plays(voltage, play_radii, start=None) -> np.ndarray:
     """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
 
-    Without Numba, all samples between two reversals are processed together: there a play is a running maximum (minimum)
-    of V - r (V + r).
+    Without Numba, all samples between two reversals are processed together: between reversals, the output of a play is
+    the running maximum of V - r (rising), or minimum of V + r (falling).
 
     Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
     """
@@ -599,7 +601,7 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
 
 
 def run_plays(play_radii, z, voltage, result):
-    """Fill ``result`` with the outputs of plays, whose outputs before were ``z``."""
+    """Fill ``result`` with the outputs of plays; ``z`` holds their outputs before the first sample."""
     for k in range(voltage.shape[0]):
         for p in range(play_radii.shape[0]):
             z[p] = max(voltage[k] - play_radii[p], min(voltage[k] + play_radii[p], z[p]))
@@ -627,7 +629,7 @@ def condense(
     first = wiped or 0 if skip is None else skip
     if not 0 <= first < v.size - 50:
         raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
-    # the steepest steps may be jumps at the start, which no sample rate resolves
+    # the largest steps may be jumps at the start, which no sample rate resolves, so a quantile is used
     step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
     coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
     factor = max(1, min(coarsest, v.size // enough))
@@ -643,7 +645,7 @@ def condense(
 
 
 def coarser(data: Condensed, enough: int) -> Condensed:
-    """Return condensed data averaged to about ``enough`` samples, as far as the steps of the voltage allow."""
+    """Return condensed data averaged further to about ``enough`` samples, if the steps of the voltage allow it."""
     step = float(np.quantile(np.abs(np.diff(data.voltage)), 0.98)) / data.voltage_range
     factor = min(len(data.voltage) // enough, int(LARGEST_STEP / step) if step > 0.0 else len(data.voltage))
     if factor < 2:
@@ -666,8 +668,8 @@ def coarser(data: Condensed, enough: int) -> Condensed:
 def wiped_out(voltage) -> int | None:
     """Return the sample from which earlier voltages no longer matter, if a cycle follows it; otherwise None.
 
-    A voltage that has been at both ends of its range has moved every play operator that the recording moves. Afterwards
-    it must fall and rise by half of the range; less would show only one branch.
+    A voltage that has been at both ends of its range has moved every play that moves anywhere in the recording.
+    Afterwards it must fall and rise by half of the range, because less would show only one branch.
 
     Units: ``voltage`` [V].
     """
@@ -681,16 +683,16 @@ def wiped_out(voltage) -> int | None:
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return the number of samples until the voltage has been near both ends of its range, which erases the memory."""
+    """Return the number of samples until the voltage has been near both ends of its range and the memory is erased."""
     return condense(data.input, data.output, data.sample_time).skipped
 
 
-#: Tried voltages before the recording, as fractions of the largest known voltage.
+#: Tried values of the largest voltage before the recording, as fractions of the largest known voltage.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 
 
 def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]:
-    """Return the voltage before the recording [V] for which ``cost(voltage)`` is least, and its cost.
+    """Return the voltage before the recording [V] for which ``cost(voltage)`` is smallest, and this cost.
 
     Units: ``largest`` [V].
     """
@@ -706,7 +708,7 @@ def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]
 
 
 def simple_loops(data: Condensed) -> bool:
-    """Return whether all loops that count have one size, so that the recording shows no minor loops."""
+    """Return whether all loops that count have the same size, so that the recording shows no minor loops."""
     if data.erased is None:
         return False
     voltage = data.voltage[data.erased :]
@@ -722,15 +724,15 @@ FEWEST_BRANCH_SAMPLES = 5
 class Branch:
     """Part of a recording in which the input moves in one direction."""
 
-    start: int  #: start, stop: Indices of its two turning points; both belong to it.
+    start: int  #: start, stop: Indices of the two turning points; both belong to the branch.
     stop: int
-    low: float  #: low, high: Its smallest and its largest input.
+    low: float  #: low, high: Smallest and largest input of the branch.
     high: float
-    rising: bool  #: The input rises.
+    rising: bool  #: Whether the input rises.
 
     @property
     def samples(self) -> slice:
-        """All of its samples, both turning points included."""
+        """All samples of the branch, including both turning points."""
         return slice(self.start, self.stop + 1)
 
     def __len__(self) -> int:
@@ -749,7 +751,7 @@ def split_branches(input_, reversal: float = REVERSAL) -> tuple[Branch, ...]:
 
 
 def require_both_directions(branches, model: str) -> None:
-    """Raise IdentificationError unless there are rising and falling branches, without which there is no loop."""
+    """Raise IdentificationError unless there are both rising and falling branches, as a loop needs."""
     rising = sum(branch.rising for branch in branches)
     if rising == 0 or rising == len(branches):
         found = f"only {len(branches)} {'rising' if rising else 'falling'} branch(es)" if branches else "no branch"

@@ -7,15 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One procedure per model, from checked data and a request to a chain of blocks.
+"""Procedures of the models, one per model: from checked data and a request to a chain of blocks.
 
 Play-type models are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
 model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
 dynamics and the Bouc-Wen oscillator are fitted to the recording itself.
 
-Declared free parameters (:func:`parametric`): the kernel of the nodes simulates the model under the recorded voltage;
-trust-region steps within the ranges of the parameters, with sensitivities by finite differences, reduce the output
-error. The offset of the output is free. Combinations that fail the ``check`` of the parameters count as a large error.
+Declared free parameters (:func:`parametric`): the model is simulated under the recorded voltage by the kernel of the
+nodes. Trust-region steps within the ranges of the parameters, with sensitivities by finite differences, reduce the
+output error. The offset of the output is free. Combinations of parameters that fail their ``check`` count as a large
+error.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.units import readable, shown_unit
 
-#: Number of widths of the density in trials of the history before the recording.
+#: Number of widths of the density when histories before the recording are tried.
 TRIED_WIDTHS = 10
 #: Number of samples for the computation of the ambiguity.
 COARSE_SAMPLES = 2000
@@ -90,9 +91,9 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 
 
 def usual(data: IdentificationData, request: Request) -> Identification:
-    """Fit plays (and dead zones), or another kind if it predicts held-out blocks better.
+    """Fit plays (and dead zones), or another kind of model if it predicts held-out blocks better.
 
-    Other kinds are generalised plays, and a free Preisach density where the simplest structure fits poorly.
+    Other kinds are generalised plays and, where the simplest structure fits poorly, a free Preisach density.
     """
 
     def others(before, progress, linear) -> list:
@@ -116,7 +117,7 @@ def preisach(data: IdentificationData, request: Request) -> Identification:
 
 
 def generalised_play(data: IdentificationData, request: Request) -> Identification:
-    """Fit plays between envelopes, with thresholds that grow with the rate, together with lag, delay and creep."""
+    """Fit plays between envelopes, whose thresholds grow with the rate, together with lag, delay and creep."""
     return _hammerstein(fit_generalised_play, data, request, _numbers_of_plays)
 
 
@@ -128,12 +129,12 @@ def _numbers_of_plays(parameters) -> int:
     return len(parameters.weights) + between + 1
 
 
-#: Models whose fits separate a hysteresis from the dynamics after it.
+#: Models whose fits are used to separate a hysteresis from the dynamics after it.
 SEPARATING = ("prandtl_ishlinskii", "preisach")
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
-    # the stage includes the lag, but the hysteresis must not absorb it: fit the hysteresis with a lag
+    # the stage includes the lag; the hysteresis is fitted with a lag, too, so that it does not absorb the stage's lag
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
 
@@ -151,7 +152,7 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     if request.model in SEPARATING and not request.options:
         request.separations.setdefault(start.past(parts), []).append(fit)
     request = replace(request, model=fit.hysteresis.type)
-    if request.inverse not in MODELS[request.model].inverses:  # the model was chosen by the data
+    if request.inverse not in MODELS[request.model].inverses:  # the data has selected another model than requested
         request = replace(request, inverse=MODELS[request.model].inverses[0])
     if start.kind != "zero":
         request = replace(request, initial=start.kind)
@@ -169,24 +170,24 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
 
 
-#: Weight of the difference between the mean squares of the error on held-out parts and of the fit. Held-out parts lie
-#: between fitted ones, so that on other loops errors of the parameters have more effect. Chosen on 40 simulated plants
-#: of other classes, see docs/identification.md.
+#: Weight of the difference between the mean square error on held-out parts and that of the fit. Held-out parts lie
+#: between fitted ones; on other loops, errors of the parameters have more effect than there. The weight was chosen on
+#: 40 simulated plants of other model classes, see docs/identification.md.
 EXCESS = 2.0
 
 
 def predicted_error(numbers: dict[str, float], duration: float, fitted: float) -> dict[str, float]:
-    """Return the RMS error to be expected on another recording [m] of this duration [s]; ``fitted`` is that of the fit.
+    """Return the RMS error [m] expected on another recording of this duration [s]; ``fitted``: RMS error of the fit.
 
-    The other densities that fit as well, and the drifts that cannot be told from creep, count as equally likely up to
-    their largest difference, and as far as their standard deviation.
+    Two uncertainties are added, each as a uniform distribution: densities that fit equally well, up to their largest
+    difference, and drifts that cannot be distinguished from creep, up to the standard deviation of the drift.
     """
     if "held_out_rmse_m" not in numbers:
         return {}
     square = numbers["held_out_rmse_m"] ** 2
     excess = max(square - fitted**2, 0.0)
     density = numbers.get("ambiguity_rms_m", 0.0) / np.sqrt(3.0)
-    line = numbers["drift_deviation_m_per_s"] * duration / np.sqrt(3.0)  # RMS of a line that begins at zero
+    line = numbers["drift_deviation_m_per_s"] * duration / np.sqrt(3.0)  # RMS of a straight line that begins at zero
     return {"predicted_rmse_m": float(np.sqrt(square + EXCESS * excess + density**2 + line**2))}
 
 
@@ -243,7 +244,7 @@ def bouc_wen(data: IdentificationData, request: Request) -> Identification:
 
 
 def duhem(data: IdentificationData, request: Request) -> Identification:
-    """Fit the Duhem equation to data without the lag, with its own inverse on request."""
+    """Fit the Duhem equation to data without the lag; if requested, also its own inverse model."""
     static = separated(data, request)
     v, x = static.voltage, static.displacement
     request.progress(0, "shape functions and alpha")
@@ -259,7 +260,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
         request.progress(1, "inverse")
         rest = grounded(hysteresis, data.sample_time)[1]
         backward = identify_inverse_duhem(v, x - rest, **request.options)
-        own: dict[str, Any] = {"duhem": backward.parameters}  # a parameter group that the inverse declares
+        own: dict[str, Any] = {"duhem": backward.parameters}  # the inverse declares this parameter group
         inverse = InverseParameters(type="duhem", **own)
         converged = converged and backward.converged
         warnings += [f"inverse: {text}" for text in backward.warnings]
@@ -271,7 +272,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
 
 
 def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
-    """Fit dynamics of higher order after the hysteresis; their gain goes to the hysteresis."""
+    """Fit dynamics of higher order after the hysteresis; the gain of these dynamics is moved to the hysteresis."""
     stage = request.stage
     if stage is None:
         raise IdentificationError("no linear stage is given: choose one with --linear")
@@ -299,7 +300,7 @@ def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresi
 def static_result(
     data: IdentificationData, request: Request, found: FittedHysteresis, static: Separated, offset: float = 0.0
 ) -> Identification:
-    """Finish a hysteresis that was fitted to data without lag and creep."""
+    """Complete the result for a hysteresis that was fitted to data without lag and creep."""
     part, start, clean = static.part, static.start, static.cleaned
     found = replace(found, warnings=(*static.warnings, *found.warnings, *clean.doubts))
     if start.kind != "zero":
@@ -313,12 +314,12 @@ def static_result(
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
 
-#: Error assigned to refused parameters at every sample, as a multiple of the stroke.
+#: Error at every sample for parameters that were refused, as a multiple of the stroke.
 REFUSED = 10.0
-#: Largest number of evaluations of the model for each free parameter.
+#: Largest number of simulations per free parameter.
 MOST_EVALUATIONS = 200
-#: Relative step of the finite differences: with the usual square root of the machine precision, kinks of a model would
-#: act as noise.
+#: Relative step of the finite differences; with the usual square root of the machine precision, kinks of a model would
+#: act like noise.
 RELATIVE_STEP = 1e-6
 
 
@@ -346,7 +347,7 @@ def parametric(data, request: Request) -> Identification:
 
 
 class _ParametricSearch:
-    """The search on one recording, with free parameters divided by their initial size."""
+    """The search on one recording; free parameters are divided by the magnitude of their initial values."""
 
     def __init__(self, model: HysteresisModel, static: Separated):
         self.model, self.first = model, len(static.history)
@@ -413,7 +414,7 @@ class _ParametricSearch:
 
 
 def _robust(fit, data: IdentificationData, skip: int) -> Identification:
-    """Return the result of ``fit(data, before)`` on data without the outliers and the drift that it shows."""
+    """Return ``fit(data, before)`` on data from which the outliers and the drift that the fit shows are removed."""
 
     def look(result: Identification, clean: Cleaned) -> Cleaned | None:
         predicted = predict(result.chain, data.input, data.sample_time, measured=clean.data.output)
@@ -449,14 +450,15 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             found = FittedHysteresis(gain(stage.gain), 2, stage.deviations)
             return identified(data, request, found, part, False, constant)
     if request.stage:
-        # only an initial value: with dynamics behind the gain, a line through the samples does not give it
+        # only an initial value: because of the dynamics after the gain, a line through the samples does not give the
+        # gain
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
     slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
     _refuse_gain(slope)
     plain = identified(data, request, FittedHysteresis(gain(slope), 2), LinearPart(), True, constant)
     if not request.parts:
         return plain
-    # add a lag if it reduces the output error
+    # add a lag only if it reduces the output error
     best = float(np.std((y - slope * u - constant)[skip:]))
     try:
         stage = fit_stage(u, y, step, "first_order", skip, intersample="linear", initial="rest")
@@ -475,7 +477,7 @@ def _refuse_gain(gain: float) -> None:
 
 
 def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
-    """Fit all parameters by output error (grey box)."""
+    """Fit all parameters of the mechanical Bouc-Wen model by output error (grey box)."""
     skip = request.skip or 0
 
     def fit(clean, before):
@@ -497,7 +499,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
 
 
 def _oscillator(data: IdentificationData, request: Request, before: Identification | None) -> Identification:
-    """Fit the oscillator, from initial values or from an earlier result ``before`` for nearly the same data."""
+    """Fit the oscillator from initial values, or from an earlier result ``before`` for nearly the same data."""
     options = dict(request.options)
     trials, seed = options.pop("trials", None), options.pop("seed", 0)
     if before is not None:
@@ -535,7 +537,7 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
 
 
 def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
-    """Return initial values from a linear oscillator: half of the stiffness is elastic, half hysteretic."""
+    """Return initial values from a linear oscillator, with half of its stiffness elastic and half hysteretic."""
     options = request.options
     given = {"mass", "stiffness", "alpha", "beta"} <= set(options)
     if given:

@@ -37,7 +37,7 @@ from hysteresis_ros.recordings.foreign_tables import (
     split_choice,
 )
 
-#: Usual column names of voltage and displacement in other recordings, the clearest first.
+#: Usual column names of voltage and displacement in other recordings; the most specific names come first.
 INPUT_NAMES = (
     *("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo"),
     *("spannung", "ao0", "ao1", "in", "current", "strom", "temperature", "temp", "field", "pressure", "druck"),
@@ -103,7 +103,7 @@ class Reading:
 
     @cached_property
     def summary(self) -> RecordingSummary:
-        """What the recording shows before any fit."""
+        """Summary of what the recording shows before any fit."""
         return summarise(self.data, self.report)
 
 
@@ -129,7 +129,7 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
 
 
 def _with_unit(choice: str | None, unit: str | None) -> str | None:
-    """Return a chosen column with its unit."""
+    """Return a chosen column with the given unit appended."""
     if choice is None or unit is None:
         return choice
     name, own = split_choice(choice)
@@ -158,7 +158,7 @@ def _read(source, columns: Columns, progress) -> Reading:
 
 
 def _load(path: pathlib.Path, columns: Columns, progress):
-    """Return the data of a file, the assumptions about its columns, and the range that must still be selected."""
+    """Return the data of a file, sentences about guessed columns, and the range of samples still to be selected."""
     sample_time, ranged = columns.sample_time, columns.range or (0, None)
     if sample_time is not None and not 0.0 < sample_time < float("inf"):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
@@ -191,7 +191,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
             continue
         unit = si_unit(stated[role]) or usual
         best = _most_telling(free, names, unit)
-        if best is None:  # the other column is clear, and this one is left
+        if best is None:  # the other column has a clear name, and this is the only one left
             clear = () if "output" in chosen or role == "output" else (_most_telling(free, *known["output"]),)
             left = [name for name in free if name not in clear and free[name] is not None]
             if None in clear or len(left) != 1:
@@ -209,7 +209,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column of that unit, without a unit or of any unit, with the clearest name; None if two are equal."""
+    """Return the column with the clearest name, of that unit, else without unit, else any; None if two are equal."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     fitting = fitting or list(free)
     ranked = sorted(fitting, key=lambda name: _rank(name, names))
@@ -218,7 +218,7 @@ def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
 
 
 def _rank(name: str, names) -> int:
-    """Return the rank of the usual name that a column's name contains."""
+    """Return the rank in ``names`` of the usual name that a column's name contains."""
     words = name.lower().replace("-", "_").replace(" ", "_").split("_")
     for place, telling in enumerate(names):
         if telling in words or (len(telling) > 3 and telling in name.lower()):

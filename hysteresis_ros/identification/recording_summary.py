@@ -9,13 +9,13 @@
 
 """What a recording shows before any fit: units, sampling, direction, shape, saturation, drift, repetition, content.
 
-The mean rising and falling branch (:func:`mean_loop`) show the direction and the shape: an output that falls with the
+The mean rising and falling branches (:func:`mean_loop`) show the direction and the shape. An output that falls with the
 input, or that first falls and then rises (a butterfly), is refused here, because no model with an inverse describes it.
-An end of the range where the output stays level although it was steep just before is an amplifier that saturates.
+If the output is level at an end of the range but was steep just before, the amplifier saturates there.
 
-The sign is that of slow movement, whose phase neither lag nor resonance changes. Other causes of movement (other
-inputs, vibration, drift) count as noise: the gain is that of the narrowest band, from the lowest frequency up, in which
-it clearly exceeds its standard deviation.
+The sign of the gain is determined from slow movement, whose phase is changed neither by a lag nor by a resonance. Other
+causes of movement (other inputs, vibration, drift) count as noise. The gain is that in the narrowest band, from the
+lowest frequency up, in which the gain clearly exceeds its standard deviation.
 """
 
 from __future__ import annotations
@@ -33,28 +33,29 @@ from hysteresis_ros.identification.preprocessing import condense, highest_freque
 from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.units import bare_name, readable
 
-#: Fraction of the input's power in the first band; each further band has twice as many frequencies.
+#: Fraction of the input's power in the first band; each further band has twice as many frequencies as the one before.
 FIRST_BAND = 0.01
-#: Distance of the gain from zero, in standard deviations, at which its sign is certain.
+#: The sign of the gain is certain if the gain differs from zero by this number of standard deviations.
 CERTAIN = 3.0
 #: Number of levels of the input at which the mean branches are computed.
 LEVELS = 50
-#: A butterfly: a polynomial of this degree explains this fraction of the output's variance, and falls by this fraction
-#: of its rise (or the other way round) within the range.
+#: The output is a butterfly if a polynomial of degree DEGREE explains at least the fraction EXPLAINED of its variance
+#: and, within the range, falls by at least the fraction FALLS of its rise (or rises by this fraction of its fall).
 DEGREE, EXPLAINED, FALLS = 4, 0.3, 0.25
-#: The output is level where both mean branches stay within this fraction of the stroke, over at least this number of
-#: levels at an end of the range …
+#: The output is level at an end of the range if both mean branches stay within the fraction LEVEL of the stroke over at
+#: least FEWEST_LEVELS levels …
 LEVEL, FEWEST_LEVELS = 0.01, 3
-#: … and abruptly so if the rising branch is steeper than this fraction of the mean slope over as many levels before.
+#: … and it becomes level abruptly if the mean slope of the steeper branch, just before, is at least this fraction of
+#: the overall mean slope.
 ABRUPT = 0.5
 #: The loop saturates at an end, or has a dead zone, where the slope over a tenth of the range is below this fraction of
-#: the largest.
+#: the largest slope.
 FLAT = 0.2
-#: Jitter of the stamps is stated above this fraction of the sample time.
+#: Jitter of the stamps above this fraction of the sample time is stated.
 UNEVEN = 0.01
-#: The width of the loops is that of the branches up to this turning point, because a multisine has many thousands.
+#: The width of the loops is computed up to this number of turning points, because a multisine has many thousands.
 MOST_TURNS = 200
-#: Loops are of one size if all swings exceed this fraction of the range.
+#: Loops count as having one size if all swings exceed this fraction of the range.
 ONE_SIZE = 0.95
 
 
@@ -63,7 +64,7 @@ class SlowGain(NamedTuple):
 
     gain: float  #: gain, deviation: In the output's unit per input's unit.
     deviation: float
-    highest: float  #: Upper end of its band [Hz].
+    highest: float  #: Upper end of the band in which the gain was determined [Hz].
 
     @property
     def certain(self) -> bool:
@@ -72,12 +73,12 @@ class SlowGain(NamedTuple):
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances of the output, or of all movement.
+    """Return the gain of the slowest movement that exceeds the disturbances; if there is none, of all movement.
 
     Units: ``sample_time`` [s].
     """
     window = np.hanning(len(u))
-    # the window correlates neighbouring lines: a sum of them varies by this factor more than one of independent lines
+    # the window correlates neighbouring lines, which increases the variance of a sum over lines by this factor
     correlated = len(u) * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
     U, Y = (np.fft.rfft(window * (values - values.mean()))[1:] for values in (u, y))
     power = np.abs(U) ** 2
@@ -86,7 +87,7 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
     for end in ends:
         size = float(power[:end].sum())
         response = complex(Y[:end] @ np.conj(U[:end])) / size
-        late = response.imag**2 * float(power[:end] @ power[:end])  # of a lag: the same in all lines, not noise
+        late = response.imag**2 * float(power[:end] @ power[:end])  # caused by a lag: equal in all lines, not noise
         left = float(power[:end] @ np.abs(Y[:end] - response * U[:end]) ** 2)
         deviation = np.sqrt(0.5 * (late + correlated * left)) / size
         found = SlowGain(response.real, float(deviation), end / (len(u) * sample_time))
@@ -104,7 +105,7 @@ class MeanLoop(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
-        """Mean of both branches, shape (n,); one branch where the other is missing."""
+        """Mean of both branches, shape (n,); if one branch is missing there, the other."""
         both = np.stack([self.rising, self.falling])
         count = np.isfinite(both).sum(axis=0)
         return np.where(count > 0, np.nansum(both, axis=0) / np.maximum(count, 1), np.nan)
@@ -116,7 +117,7 @@ def mean_loop(u, y, count: int = LEVELS) -> MeanLoop:
     place = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, count - 1)
     change = np.sign(np.diff(u, append=u[-1]))
     moving = np.flatnonzero(change)
-    # a held input belongs to the branch before it
+    # samples with a constant input belong to the branch before them
     before = np.maximum(np.searchsorted(moving, np.arange(u.size), side="right") - 1, 0)
     direction = change[moving[before]] if moving.size else np.ones(u.size)
     branches = []
@@ -129,7 +130,7 @@ def mean_loop(u, y, count: int = LEVELS) -> MeanLoop:
 
 
 def butterfly(u, y) -> float | None:
-    """Return the input at which the output turns if it falls on one side and rises on the other; otherwise None."""
+    """Return the input at which a butterfly changes between falling and rising output; None if it is no butterfly."""
     v = 2.0 * (u - u.min()) / np.ptp(u) - 1.0
     curve = np.polynomial.Polynomial.fit(v, y, DEGREE, domain=(-1.0, 1.0))
     if float(np.var(y - curve(v))) > (1.0 - EXPLAINED) * float(np.var(y)):
@@ -145,7 +146,7 @@ def butterfly(u, y) -> float | None:
 
 
 def level_ends(loop: MeanLoop, stroke: float) -> tuple[tuple[float, bool] | None, ...]:
-    """Return, for both ends of the range, where the output becomes constant and whether abruptly."""
+    """Return, for each end of the range, the input from which the output is constant, and whether abruptly; or None."""
     found: list[tuple[float, bool] | None] = []
     middle = float(np.nanmax(loop.middle) - np.nanmin(loop.middle)) / loop.levels.size
     for order in (slice(None), slice(None, None, -1)):
@@ -173,21 +174,22 @@ class RecordingSummary:
 
     #: Label and text of each line.
     lines: tuple[tuple[str, str], ...]
-    #: Why no model fits; empty if one may.
+    #: Reason why no model fits; empty if a model may fit.
     refusal: str = ""
-    #: Input below and above which the output stays level abruptly, in the input's unit; None: nowhere.
+    #: Inputs below and above which the output is level, after an abrupt change, in the input's unit; None: no such
+    #: input.
     saturation: tuple[float | None, float | None] = (None, None)
-    #: Whether the loop saturates at an end, or has a dead zone.
+    #: Sentences about saturation at an end of the loop, and about a dead zone.
     shapes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Return the lines as a block."""
+        """Return the lines as one text."""
         width = max(len(label) for label, _ in self.lines)
         return "\n".join(f"{label:<{width}}  {text}" for label, text in self.lines)
 
 
 def white_noise(values) -> float:
-    """Return the standard deviation of white noise, from the median of second differences, which ignores outliers."""
+    """Return the standard deviation of white noise, from the median of second differences (outliers do not count)."""
     # white noise of variance s² has second differences of variance 6 s²
     return float(np.median(np.abs(np.diff(values, 2)))) / 0.6745 / np.sqrt(6.0)
 
@@ -241,7 +243,7 @@ def _direction(data: IdentificationData, turn: float | None, gain: SlowGain) -> 
 
 
 def _shapes(loop: MeanLoop) -> tuple[str, ...]:
-    """Return saturation and dead zone of the mean branches."""
+    """Return sentences about saturation and a dead zone in the mean branches."""
     middle = loop.middle[np.isfinite(loop.middle)]
     if middle.size < LEVELS // 2:
         return ()
@@ -296,14 +298,14 @@ def _refusal(data: IdentificationData, turn: float | None, gain: SlowGain) -> st
     return _falling(data, gain)
 
 
-#: Numbers of plays and dead zones of a trial, and of its samples.
+#: Numbers of plays and dead zones of a trial fit, and number of its samples.
 TRIED_PLAYS, TRIED_ZONES, COARSE = 10, 3, 1500
 
 
 def trial_error(data: IdentificationData, limits: tuple[float, float] = (-np.inf, np.inf)) -> float:
     """Return the RMS residual [% of the stroke] of plays and dead zones on coarse data; NaN if they cannot be fitted.
 
-    ``limits`` of the input cut it before.
+    The input is limited to ``limits`` before the fit.
     """
     u = np.clip(data.input, *limits)
     try:
@@ -315,7 +317,7 @@ def trial_error(data: IdentificationData, limits: tuple[float, float] = (-np.inf
 
 
 def _closest(data: IdentificationData, turn: float) -> str:
-    """Return a sentence about the model that comes closest to a butterfly, and about its error."""
+    """Return a sentence about the model that describes a butterfly best, and about the error of this model."""
     whole = trial_error(data)
     low, high = (readable(float(end), data.input_unit) for end in (data.input.min(), data.input.max()))
     at = readable(turn, data.input_unit)
@@ -326,7 +328,7 @@ def _closest(data: IdentificationData, turn: float) -> str:
 
 
 def _falling(data: IdentificationData, gain: SlowGain) -> str:
-    """Return why an output that falls with rising input is refused; empty if it does not fall."""
+    """Return the reason for refusing an output that falls with rising input; empty if it does not fall."""
     if not gain.certain or gain.gain > 0.0:
         return ""
     size, deviation = (readable(value, data.output_unit) for value in (-gain.gain, gain.deviation))
@@ -338,7 +340,7 @@ def _falling(data: IdentificationData, gain: SlowGain) -> str:
 
 
 def refuse_falling(data: IdentificationData) -> None:
-    """Raise IdentificationError for an output that falls with rising input: no model here describes it."""
+    """Raise IdentificationError for an output that falls with rising input, because no model here describes it."""
     if reason := _falling(data, slow_gain(data.input, data.output, data.sample_time)):
         raise IdentificationError(reason)
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification by the name of a model, which declares its procedure, options and inverses."""
+"""Identification by the name of a model; the model declares its procedure, options and inverses."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved
 
-#: Name that selects the best predicting model.
+#: Name that selects the model with the best prediction.
 AUTO = "auto"
-#: Name of the default choice; the model that determines its parts, options and inverses; and the procedure that
-#: compares this model with its competitors.
+#: Name of the default choice; the model whose parts, options and inverses apply to it; and the procedure that compares
+#: this model with its competitors.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
-#: Names of sets of parts.
+#: Words that stand for sets of parts.
 WORDS = {"none": (), "auto": PARTS}
 
 
@@ -45,7 +45,7 @@ def linear_words(model: HysteresisModel) -> tuple[str, ...]:
 
 
 def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | None]:
-    """Return the parts that may be fitted with the hysteresis, and the stage after it or None."""
+    """Return the parts that may be fitted together with the hysteresis, and the stage after it or None."""
     entry = find_model(model)
     linear = linear_words(entry)
     words = words or "auto"
@@ -71,7 +71,7 @@ def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | 
 
 
 def parse_options(model: str, pairs) -> dict:
-    """Return the options of a model from words ``name=value``."""
+    """Return the options of a model from texts ``name=value``."""
     if model == AUTO:
         if given := list(pairs):
             raise IdentificationError(

@@ -10,7 +10,7 @@
 """Uncertainty of a model's frequency response, from a recording or from a measured response.
 
 From a recording, the response is estimated between the modelled input of the dynamics (the output of hysteresis and
-creep) and the measurement, averaged over parts of an octave. It therefore includes the errors of the hysteresis, which
+creep) and the measurement, averaged over parts of an octave. This response includes the errors of the hysteresis, which
 also act in feedback. A measured response gives the uncertainty directly, and linear dynamics by a fit to its lines.
 """
 
@@ -39,36 +39,36 @@ from hysteresis_ros.identification.preprocessing import notable_outliers
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import shown_unit
 
-#: Bands per octave, and narrow bands per octave for resonances.
+#: Number of bands per octave, and number of narrow bands per octave for resonances.
 BANDS, NARROW_BANDS = 6, 24
-#: The response counts as known if two standard deviations are below this fraction of it.
+#: The response counts as known where two standard deviations are below this fraction of the response.
 KNOWN = 0.5
-#: A significant error above KNOWN is taken as a resonance that the model lacks or has at another frequency. PEAK is the
-#: ratio of the peak of that resonance to its mean over a narrow band, with the assumed damping of an unobserved
+#: A significant error above KNOWN is attributed to a resonance that the model lacks or has at another frequency. PEAK
+#: is the ratio of the peak of this resonance to its mean over a narrow band, for the assumed damping of an unobserved
 #: resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
-#: The same ratio where the residual rings, for the lightest mode that an identification finds.
+#: The same ratio where the residual rings, for the most lightly damped mode that an identification can find.
 RINGING_PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING_RANGE[0])
-#: A deviation larger than this multiple of two standard deviations also counts as known.
+#: A deviation above this multiple of two standard deviations also counts as known.
 CLEARLY = 2.0
-#: Overlapping windows: number of sums equivalent to one independent sum.
+#: The windows overlap: number of sums that are equivalent to one independent sum.
 OVERLAP = 2.0
 #: Bands without content between two bands with content are interpolated, up to this distance in octaves.
 GAP = 1.5
-#: If the content reaches this fraction of the sample rate, the whole response counts as known, because a loop acts only
-#: up to there.
+#: If the content reaches up to this fraction of the sample rate, the whole response counts as known, because a control
+#: loop acts only up to this frequency.
 WHOLE = 0.5
-#: The residual rings at a frequency where its spectrum exceeds that of its surroundings (a band against two octaves) by
-#: this factor.
+#: The residual rings at a frequency where its spectrum in a band exceeds that in the surrounding two octaves by this
+#: factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
-#: Residuals are ignored if the model explains more than this fraction of the movement.
+#: Peaks are ignored where the residual is below this fraction of the movement that the model explains.
 RINGS = 0.3
-#: Fraction of the output's power without linear response to the input above which another source of movement is
-#: reported.
+#: Another source of movement is reported if more than this fraction of the output's power is not a linear response to
+#: the input.
 FOREIGN = 0.25
 NO_CONTENT = "the {} contains hardly any power there"
-#: Largest ratio of the crossover that the model allows to the one that is certain.
+#: Largest accepted ratio of the crossover that the model would allow to the crossover that is certain.
 FASTER = 2.0
 
 
@@ -77,22 +77,22 @@ class ResponseCheck:
     """The frequency response of a model compared with a recording."""
 
     uncertainty: ResponseUncertainty
-    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2: for an exact model, for the errors
-    #: visible in the recording, and for all responses that the recording does not exclude.
+    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2, calculated for an exact model, for the
+    #: errors visible in the recording, and for all responses that the recording does not exclude.
     believed: float
     seen: float
     certain: float
     unfit_at: float  #: Frequency [Hz] of the error that limits the loop.
     ringing: tuple[float, ...] = ()  #: Frequencies [Hz] of peaks in the residual.
-    #: Fraction of the power of the measured movement that is not a linear response to the modelled one; 0 if most of it
-    #: is slower than the segments of the spectra.
+    #: Fraction of the power of the measured movement that is not a linear response to the modelled movement; 0 if most
+    #: of the movement is slower than the segments of the spectra.
     foreign: float = 0.0
 
     @property
     def fit_for_feedback(self) -> bool:
-        """Whether the residual does not ring, and the recording permits a loop about as fast as the model would allow.
+        """Whether the residual does not ring, and the certain crossover is close enough to that of an exact model.
 
-        The mean over a band says little about the height of a light mode in it, so any ringing counts.
+        The mean over a band says little about the peak of a lightly damped mode in it, so any ringing counts.
         """
         return not self.ringing and self.seen * FASTER >= self.believed
 
@@ -121,7 +121,7 @@ class ResponseCheck:
 
     @property
     def entries(self) -> dict:
-        """Return the values that the parameter file passes on to a design."""
+        """Return the values that the parameter file contains for a design."""
         found = self.uncertainty
         known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
         rings = {"response.ringing": tuple(float(f"{f:.4g}") for f in self.ringing)} if self.ringing else {}
@@ -154,7 +154,7 @@ class ResponseCheck:
 
 
 def sound_data(data: IdentificationData, predicted: np.ndarray, skip: int) -> IdentificationData:
-    """Return the data with the prediction in place of clipped samples of the output and of outliers."""
+    """Return the data with clipped samples of the output and outliers replaced by the prediction."""
     wrong = clipped_samples(data.output, data.input)
     good = notable_outliers(data.output - predicted, skip)
     if good is not None:
@@ -163,7 +163,7 @@ def sound_data(data: IdentificationData, predicted: np.ndarray, skip: int) -> Id
 
 
 def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -> ResponseCheck | None:
-    """Return the check of a chain's response by a recording; None for dynamics inside the hysteresis."""
+    """Return the comparison of a chain's response with a recording; None for dynamics inside the hysteresis."""
     if not chain.invertible:
         return None
     moved = before_dynamics(chain, data.input, data.sample_time, data.output)
@@ -174,7 +174,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
     ringing = _ringing(spectra, response)
     uncertainty, shown = _uncertainty(spectra, response, ringing)
-    # a band without excitation does not test a model, but ringing in it is an error
+    # a band without excitation cannot test a model, but ringing in this band is an error of the model
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
@@ -187,7 +187,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
 
 
 def _uncertainty(spectra: SegmentSpectra, response, ringing) -> tuple[ResponseUncertainty, ResponseUncertainty]:
-    """Return the largest possible and the smallest certain deviation of the response from the model, in bands."""
+    """Return, in bands, the largest possible and the smallest certain deviation of the response from the model."""
     centres, deviation, spread = _in_bands(spectra, response, BANDS)
     clear = deviation > CLEARLY * 2.0 * spread
     rings = np.any([np.abs(np.log2(centres / frequency)) < 1.0 / BANDS for frequency in ringing], axis=0)
@@ -202,7 +202,7 @@ def _uncertainty(spectra: SegmentSpectra, response, ringing) -> tuple[ResponseUn
         if centres[place] > 2.0**GAP * centres[last]:
             break
         last = place
-    # a resonance narrower than a band is averaged out in it
+    # the mean over a wide band hides a resonance narrower than the band
     places, narrow, wide = _in_bands(spectra, response, NARROW_BANDS)
     band = np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
     seen = (2.0 * wide < KNOWN) | clear[band]
@@ -224,7 +224,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
     edges = np.searchsorted(f, f[0] * 2.0 ** (np.arange(count + 1) / bands))
     edges = np.unique(np.append(edges[:-1], len(f)))[:-1]
     expected = np.abs(response) ** 2 * spectra.input.sum(axis=0)
-    # errors that repeat with the movement, such as those of a hysteresis, count once for all repetitions
+    # errors that repeat with the movement, such as those of a hysteresis, are not averaged out by repetitions
     repeated = np.abs(spectra.cross.sum(axis=0) - response * spectra.input.sum(axis=0)) ** 2
     repeated = spectra.smooth(repeated / np.maximum(spectra.input.sum(axis=0), np.finfo(float).tiny))
     noise = spectra.incoherent() + repeated
@@ -236,8 +236,8 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
 
 
 def _foreign(spectra: SegmentSpectra, output) -> float:
-    """Return the fraction of the output's power without linear response; 0 if the spectra contain too little of it."""
-    # the spectra are of differences
+    """Return the fraction of the output's power that is no linear response; 0 if the spectra cover too little of it."""
+    # the spectra are those of differences between samples
     undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
     power = np.abs(np.fft.rfft(output - output.mean())) ** 2
     held = np.fft.rfftfreq(len(output), spectra.sample_time) >= spectra.frequencies[0]
@@ -248,7 +248,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return the frequencies at which the spectrum of the residual has peaks that the spectrum of the input lacks."""
+    """Return the frequencies of peaks in the spectrum of the residual that the spectrum of the input does not have."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]
@@ -275,20 +275,23 @@ class MeasuredPlant:
     radius: np.ndarray  #: shape (F,); Radius of the circles that contain the true response with 95 % probability.
 
     def uncertainty(self, model, sample_time: float) -> ResponseUncertainty:
-        """Return the uncertainty of a model: its measured deviation, and the radius of the circles.
+        """Return the uncertainty of a model: its deviation from the measurement, and the radius of the circles.
 
         Units: ``sample_time`` [s].
         """
         relative = (np.abs(self.response - model) + self.radius) / np.maximum(np.abs(model), 1e-12)
         last = float(self.frequency[-1])
-        # the next line would be at or beyond half the sample rate; frequencies are rounded
+        # the line after the last one would be at or beyond half the sample rate; frequencies are rounded
         spacing = float(self.frequency[-1] - self.frequency[-2]) if self.frequency.size > 1 else 0.0
         known_to = np.inf if (last + 1.001 * spacing) * sample_time >= WHOLE else last
         return ResponseUncertainty(self.frequency, np.minimum(relative, UNKNOWN), known_to)
 
 
 def measured_plant(found: Analysis, model) -> MeasuredPlant:
-    """Return the response from the command; that from a voltage is scaled to the model's gain at the lowest lines.
+    """Return the response from the command; a response from a voltage is scaled to the model's gain.
+
+    The scale matches both gains at the lowest lines. The model's gain is valid for the whole stroke; a hysteresis has
+    another gain for small movements.
 
     The model's gain is valid for the whole stroke; a hysteresis has another gain for small movements.
     """
@@ -301,7 +304,7 @@ def measured_plant(found: Analysis, model) -> MeasuredPlant:
 
 
 def dynamics_of(found: Analysis, order: int | None = None) -> tuple[LinearParameters, MatrixFractionFit]:
-    """Return linear dynamics of unit DC gain that fit a response, and the fit."""
+    """Return linear dynamics of unit DC gain that fit a response, and details of the fit."""
     if order is not None and not 1 <= order <= found.response.frequency.size // 4:
         raise IdentificationError(
             f"order {order}: must be within 1 … {found.response.frequency.size // 4}, a quarter of the lines"

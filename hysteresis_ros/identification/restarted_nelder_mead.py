@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""SciPy's Nelder-Mead, scaled, restarted and from several starts, with recorded trajectories (B3).
+"""SciPy's Nelder-Mead search, scaled, restarted, and from several starts, with recorded trajectories (B3).
 
 Parameters of a model differ by orders of magnitude, so the simplex works on parameters divided by their scales. A
-simplex may collapse before it has reached a minimum: each start is therefore repeated from its best point with a new
-simplex until there is no further improvement.
+simplex may collapse before it has reached a minimum. From each start the search is therefore repeated from its best
+point with a new simplex, until there is no further improvement.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.executors import Job, shared
 
-#: Size of the first simplex and spread of further starts, in scales.
+#: Size of the first simplex, and spread of further starts, in units of the scales.
 FIRST_STEP = 0.1
 SPREAD = 0.5
 #: Smallest relative reduction of the cost that counts as an improvement.
 NO_BETTER = 1e-6
 MOST_RESTARTS = 10
-#: Approximate duration of a start [s] above which several processes are used.
+#: Approximate duration of the search from one start [s] above which several processes are used.
 EVALUATIONS = 500
-#: Cost of a perfect fit relative to that of the guess; differences below it are rounding errors.
+#: Cost of a perfect fit relative to that of the guess; smaller differences are rounding errors.
 PERFECT = 1e-18
 
 
@@ -40,25 +40,25 @@ PERFECT = 1e-18
 class SimplexSettings:
     """Budget and starts of the search."""
 
-    #: Number of starts; further ones are spread around the guess by half a scale (normally distributed). None: the
-    #: default of the problem, usually one.
+    #: Number of starts; the further starts are spread around the guess by half a scale (normally distributed). None:
+    #: the default of the problem, usually 1.
     starts: int | None = None
     iterations: int = 2000  #: Largest number of iterations of one start.
-    tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs at which a run ends.
+    tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs, at which a run ends.
     seed: int = 0  #: Seed of the further starts.
-    #: Processes that share the starts, which then need a picklable cost; None: chosen automatically.
+    #: Number of processes that share the starts; several processes need a picklable cost. None: chosen automatically.
     workers: int | None = 1
 
 
 @dataclass(frozen=True)
 class SimplexRun:
-    """Course of one start."""
+    """Course of the search from one start."""
 
-    #: shape (iterations + 1, n); Best vertex after each iteration, the start first (figure 10 of paper B).
+    #: shape (iterations + 1, n); Best vertex after each iteration, preceded by the start (figure 10 of paper B).
     trajectory: np.ndarray
-    costs: np.ndarray  #: shape (iterations + 1,); Cost of this vertex.
+    costs: np.ndarray  #: shape (iterations + 1,); Cost of this best vertex.
     evaluations: int  #: Calls of the cost function.
-    converged: bool  #: The simplex became smaller than the tolerance within the budget.
+    converged: bool  #: Whether the simplex became smaller than the tolerance within the budget.
 
     @property
     def iterations(self) -> int:
@@ -72,13 +72,13 @@ class SimplexSearch:
 
     x: np.ndarray  #: shape (n,); Best point of all starts.
     cost: float  #: Cost at this point.
-    runs: tuple[SimplexRun, ...]  #: One for each start, in order.
+    runs: tuple[SimplexRun, ...]  #: One run for each start, in order.
     best: int  #: Index of the run that found ``x``.
-    converged: bool  #: Whether that run converged; if not, ``x`` is still the best point found.
+    converged: bool  #: Whether the best run converged; if not, ``x`` is still the best point found.
 
     @property
     def agreeing(self) -> int:
-        """Number of starts within 1 % of the lowest cost; one of several suggests that there are other local minima."""
+        """Number of starts that end within 1 % of the lowest cost; 1 of several suggests other local minima."""
         return sum(run.costs[-1] <= 1.01 * self.cost for run in self.runs)
 
 
@@ -115,7 +115,7 @@ def restarted_nelder_mead(
 
 
 class _FiniteCost:
-    """A cost of scaled parameters; not-a-number counts as infinite."""
+    """A cost of scaled parameters; NaN counts as infinite."""
 
     def __init__(self, cost, scale: np.ndarray):
         self.cost, self.scale = cost, scale
@@ -133,7 +133,7 @@ def _runs(cost: _FiniteCost, guesses: list[np.ndarray], settings: SimplexSetting
             note = None if progress is None else lambda i, value, number=number: progress(number, i, value)
             runs.append(_run(cost, guess, settings, note))
         return runs
-    cost(guesses[0])  # compile now
+    cost(guesses[0])  # the first call compiles the cost before the processes start
     begun = time.perf_counter()
     cost(guesses[0])
     seconds = (time.perf_counter() - begun) * EVALUATIONS * len(guesses)
@@ -160,7 +160,7 @@ def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexR
                 note(len(values) - 1, values[-1])
 
         simplex = np.concatenate([[points[-1]], points[-1] + FIRST_STEP * np.eye(z.size)])
-        with np.errstate(invalid="ignore"):  # differences of infinite costs
+        with np.errstate(invalid="ignore"):  # infinite costs may be subtracted from each other
             found = minimize(
                 cost,
                 points[-1],
@@ -171,7 +171,7 @@ def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexR
                     "maxiter": iterations - len(values) + 2,
                     "maxfev": 10 * iterations * (z.size + 1),
                     "xatol": tolerance,
-                    # SciPy needs an absolute tolerance; rounding errors limit the cost of a perfect fit
+                    # SciPy needs an absolute tolerance; for a perfect fit, rounding errors are the limit
                     "fatol": max(tolerance * before, nothing) if np.isfinite(before) else tolerance,
                 },
             )

@@ -7,19 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Safe speed of an axis: rate limits of voltage and setpoint, written into parameter files with a reason for each.
+"""Safe speed of an axis: rate limits of voltage and setpoint, which are written into parameter files with a reason.
 
-*Slew rate of the voltage*: the smallest of the known limits. These are the slew rate of the amplifier, twice the
-largest slew rate in a recording, and the voltage range divided by one period of the lowest resonance (or by the slowest
-time constant of a model with lags only). If none is known, it is the range divided by :data:`FIRST_SECONDS`.
+*Slew rate of the voltage*: the smallest of the known limits. Possible limits are the slew rate of the amplifier, twice
+the largest slew rate in a recording, and the voltage range divided by one period of the lowest resonance (for a model
+with lags only, by its slowest time constant). If no limit is known, the slew rate is the voltage range divided by
+:data:`FIRST_SECONDS`.
 
 *Approach to setpoints*: half of the slew rate is reserved for the setpoint, the other half for feedback and hysteresis.
-The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one
-period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
-leaves little vibration even when the frequency is off by some per cent.
+The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.references.approach`). Each average lasts
+one period of the resonance and has a zero at the frequency of the resonance. Together they have a double zero there, so
+a change of the setpoint causes little vibration even if the frequency is wrong by some per cent.
 
-*The first motion* of an axis of a stage keeps them too: its reference begins at rest instead of in the middle of the
-range. A file that states `approach.from_rest` is not changed.
+*The first motion* of an axis of a stage keeps the limits, too: its reference begins at rest instead of in the middle of
+the range. A file that states `approach.from_rest` is not changed.
 
 *Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
 slew rate limits them.
@@ -46,13 +47,13 @@ from hysteresis_ros.units import shown_unit
 
 #: Time in which an unknown stage moves over the voltage range [s].
 FIRST_SECONDS = 1.0
-#: Ratio of the allowed slew rate to that of the recording, and the setpoint's fraction of the slew rate.
+#: Largest ratio of the slew rate to that in the recording, and fraction of the slew rate that is for setpoints.
 ROOM, FOR_SETPOINTS = 2.0, 0.5
-#: Damping ratio above which a mode does not count as a resonance, and magnitude below which a pole counts as a delay.
+#: Damping ratio above which a mode is not a resonance, and magnitude below which a pole is part of a delay.
 NO_RESONANCE, DELAY = 0.5, 1e-3
-#: Without a known resonance: length of a moving average as a fraction of the time to cross the stroke.
+#: Without a known resonance: length of each moving average as a fraction of the time to cross the stroke.
 UNKNOWN_PART = 0.1
-#: Number of digits of written limits, which reflects their accuracy.
+#: Number of digits of written limits; their accuracy is no higher.
 DIGITS = 3
 NODES = ("plant_simulator", "hysteresis_compensator")
 APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
@@ -67,18 +68,18 @@ class Slew:
 
 
 def largest_change(voltage: np.ndarray, sample_time: float) -> float:
-    """Return the largest change of a recorded voltage [V/s]; 0 for less than two samples."""
+    """Return the largest rate of change of a recorded voltage [V/s]; 0 for fewer than two samples."""
     changes = np.abs(np.diff(voltage))
     return float(np.nanmax(changes)) / sample_time if np.isfinite(changes).any() else 0.0
 
 
 def slowest(dynamics: LinearParameters, sample_time: float) -> tuple[float, bool]:
-    """Return the lowest resonance of a model [Hz] and True, or its slowest lag [1/s] and False; 0: neither."""
+    """Return the lowest resonance of a model [Hz] and True, or else its slowest lag [1/s] and False (0 if none)."""
     return slowest_of(dynamics.state_space.A, sample_time) if dynamics.order else (0.0, False)
 
 
 def slowest_of(A: np.ndarray, sample_time: float) -> tuple[float, bool]:
-    """Return the same for a state matrix."""
+    """Return the same as :func:`slowest` for a state matrix."""
     poles = np.asarray(eigenvalues(A), dtype=complex)
     resonances = [hertz for hertz, damping in modes(poles, sample_time) if damping < NO_RESONANCE]
     if resonances:
@@ -90,7 +91,7 @@ def slowest_of(A: np.ndarray, sample_time: float) -> tuple[float, bool]:
 def safe_slew(
     span: float, pace: float = 0.0, resonant: bool = False, excited: float = 0.0, amplifier: float = 0.0
 ) -> Slew:
-    """Return the largest change of the voltage.
+    """Return the largest allowed rate of change of the voltage.
 
     Units: ``span`` [V], ``excited`` [V/s], ``amplifier`` [V/s].
     """
@@ -123,11 +124,11 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
 
 
 def smooth_approach(velocity: float, length: float) -> tuple[float, float]:
-    """Return acceleration [m/s²] and jerk [m/s³] of an approach whose averages each last ``length`` [s].
+    """Return acceleration [m/s²] and jerk [m/s³] of an approach with moving averages of ``length`` [s] each.
 
     Units: ``velocity`` [m/s].
     """
-    # windows of 2 V/A and 4 V/(2 V/A J), see the approach
+    # the averages last 2 V/A and 4 V/(2 V/A J), see the approach
     return _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
 
 
@@ -139,9 +140,9 @@ def with_safe_motion(
     amplifier: float = 0.0,
     structure: np.ndarray | None = None,
 ) -> str:
-    """Return the text of a parameter file with its missing limits of voltage and setpoint, each with its reason.
+    """Return the text of a parameter file with the missing limits of voltage and setpoint and the reason for each.
 
-    An axis of a stage has the resonances of its ``structure``, given by the state matrix.
+    For an axis of a stage, ``structure`` is the state matrix of the stage, from which the resonances are computed.
     """
     configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
     if configuration.describes("inchworm_sequencer", namespace):
@@ -196,12 +197,12 @@ def with_safe_motion(
 
 
 def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
-    """Return why steps of a waveform keep the limits of the approach, too; empty: they need not, or already do."""
+    """Return why steps of a waveform should keep the approach's limits too; empty if not, or if they already do."""
     feedforward = FeedforwardParameters(type=str(controller.get("feedforward.type", "none")))
     keeps = "steps of a waveform keep the limits too"
     if feedforward.inverts and not reference.get("approach.steps", False):
         return f"{keeps}: the feedforward inverts the dynamics"
-    # a fast loop with a limited slew rate can oscillate from limit to limit after a jump, with all of its margins
+    # after a jump, a fast loop with a limited slew rate can oscillate between its limits although its margins are met
     law = LAWS.get(str(controller.get("type", "")))
     return (
         f"{keeps}: a jump exceeds the slew rate" if law and law.feedback and "approach.steps" not in reference else ""
@@ -209,14 +210,14 @@ def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
 
 
 def with_comments(text: str, commented: str) -> str:
-    """Return a text whose lines get the comments of equal lines in another text."""
+    """Return ``text`` with the comments of ``commented`` added to equal lines."""
     known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
     lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines)
 
 
 def _dynamics(nodes: dict[str, dict]) -> Iterable[LinearParameters]:
-    """Return the dynamics in the parameters of plant and controller."""
+    """Return the dynamics that the parameters of plant and controller contain."""
     for node, prefix in (("plant_simulator", "dynamics."), ("motion_controller", "model.dynamics.")):
         values = {name.removeprefix(prefix): value for name, value in nodes[node].items() if name.startswith(prefix)}
         if values:
@@ -224,7 +225,7 @@ def _dynamics(nodes: dict[str, dict]) -> Iterable[LinearParameters]:
 
 
 def _part(values: dict, cls):
-    """Return the parameters of a block from those of its node."""
+    """Return the parameters of a block from the parameters of its node."""
     names = {row.name for row in cls.table()}
     return cls.from_mapping({name: value for name, value in values.items() if name in names})
 
@@ -234,9 +235,9 @@ def _rounded(value: float) -> float:
 
 
 def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float | bool, str]]) -> str:
-    """Return the text with new, commented values in a group of a node's last section.
+    """Return the text with new values, and comments on them, in a group of the last section of a node.
 
-    For a group in one line, the values are added to that line, and the reasons follow it.
+    If the group is written in one line, the values are added to that line, and the reasons follow below it.
     """
     full = f"{namespace}/{node}"
     root = yaml.compose(text)
@@ -260,7 +261,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
         return "".join(lines[:at] + added + lines[at:])
     mapping = found[1]
     before = {key.value: value for key, value in mapping.value}
-    # from the end, so that earlier positions stay valid
+    # from the end of the text, so that earlier positions stay valid
     for name in sorted(set(values) & set(before), key=lambda name: before[name].start_mark.line, reverse=True):
         value, reason = values[name]
         mark, end = before[name].start_mark, before[name].end_mark
@@ -284,7 +285,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
 
 
 def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tuple[float | bool, str]]) -> str:
-    """Return the text with values before the brace that closes a group."""
+    """Return the text with values inserted before the brace that closes a group."""
     if not new:
         return text
     full = f"{namespace}/{node}"
@@ -306,7 +307,7 @@ def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tu
 
 
 def _number(value: float | bool) -> str:
-    """Return a number in a form that YAML and ROS both read as a double; or true, false."""
+    """Return a number in a form that YAML and ROS both read as a double, or true or false."""
     if isinstance(value, bool):
         return str(value).lower()
     text = repr(float(value))

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The zero of the sensor: its reading at rest at 0 V, from the beginning of a recording.
+"""The zero of the sensor: its reading at rest at 0 V, determined from the beginning of a recording.
 
-If the voltage rests at 0 V long enough, the zero is the median reading there. If it rests for a few samples only, one
-reading would carry the noise of the sensor into every displacement. The readings of the first small movement then count
-too: a straight line of the reading's difference from the model over the model's movement is fitted, and its value
-without movement is the zero, so that an error in the model's gain does not matter.
+If the voltage rests at 0 V long enough, the zero is the median reading there. If it rests for only a few samples, the
+noise of one reading would be contained in every displacement. The readings of the first small movement are then used
+too: a straight line is fitted to the difference between reading and model over the movement of the model. The value of
+this line without movement is the zero, so an error in the gain of the model does not matter.
 
-A recording that begins at another voltage shows its zero in the first readings if they still belong to 0 V, because an
-axis measures before its voltage acts and the stage has a delay. It did begin at 0 V if the readings follow the model
+If a recording begins at another voltage, its first readings may still belong to 0 V, because an axis measures before
+its voltage acts and the stage has a delay; they then show the zero. This is assumed if the readings follow the model
 from rest at 0 V clearly better than the model from rest at the first voltage. Otherwise the recording does not show the
 zero.
 """
@@ -32,25 +32,26 @@ from hysteresis_ros.units import readable
 
 #: The voltage counts as 0 V within this fraction of its range.
 AT_ZERO = 0.002
-#: This number of samples at 0 V suffices without the movement after them.
+#: With this number of samples at 0 V, the movement after them is not needed.
 ENOUGH = 30
-#: Largest movements that count, the second where the first has too few readings, and movement that still counts as
-#: rest, as fractions of the stroke. A hysteresis makes the line curved.
+#: Largest movements that are used (the second if the first has too few readings), and largest movement that still
+#: counts as rest, as fractions of the stroke. Larger movements would make the line curved by hysteresis.
 SMALL_MOVEMENTS, AT_REST = (0.01, 0.05), 1e-4
-#: Readings that move must be at least this many for a straight line.
+#: Least number of readings during movement for a straight line.
 FEWEST_MOVING = 8
-#: The model from rest at 0 V explains the first readings if its error is below this fraction of the other's.
+#: The recording began at rest at 0 V if the error of the model from there is below this fraction of the error of the
+#: model from rest at the first voltage.
 CLEARLY = 0.5
-#: Number of samples for the comparison of the two beginnings, and of samples for the model to come to rest before.
+#: Number of compared samples at the beginning, and number of samples in which the model comes to rest before them.
 FIRST, BEFORE = 200, 4000
-#: Number of standard deviations by which a zero differs from that of the sensor.
+#: Number of standard deviations by which a significant zero differs from 0.
 SIGNIFICANT = 3.0
-#: Readings farther from the line than this many standard deviations of the bulk are outliers.
+#: Readings farther from the line than this many standard deviations of the bulk of the readings are outliers.
 OUTLYING = 4.0
 
 
 class Chain(Protocol):
-    """What the zero needs of a :class:`.plant_model.PlantModel`."""
+    """The members of a :class:`.plant_model.PlantModel` that are needed to determine the zero."""
 
     @property
     def invertible(self) -> bool:
@@ -70,16 +71,16 @@ class Chain(Protocol):
 
 @dataclass(frozen=True)
 class SensorZero:
-    """Reading at rest at 0 V."""
+    """Reading of the sensor at rest at 0 V."""
 
     value: float  #: [m]
-    deviation: float  #: Standard deviation from the noise of the readings [m]; NaN for a single one.
+    deviation: float  #: Standard deviation by the noise of the readings [m]; NaN for a single reading.
 
     @property
     def significant(self) -> float:
         """The value, or 0 if it does not differ from 0 by more than three standard deviations.
 
-        Most sensors are set to zero at rest. The noise of a few readings would displace the axis against the sensor.
+        Most sensors are set to zero at rest, and a zero caused by the noise of a few readings would displace the axis.
         """
         return 0.0 if abs(self.value) <= SIGNIFICANT * self.deviation else self.value
 
@@ -115,7 +116,7 @@ def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:
 
 
 def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
-    """Return whether the first readings follow a start at 0 V, and not a rest at the first voltage."""
+    """Return whether the first readings follow a start at 0 V rather than a rest at the first voltage."""
     voltage = np.concatenate([np.full(BEFORE, data.input[0]), data.input[: len(model)]])
     rested = chain.simulate(voltage)[BEFORE:]
     measured = data.output[: len(model)]
@@ -124,18 +125,18 @@ def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
 
 
 def _at_rest(readings, moved) -> SensorZero:
-    """Return the median of readings [m] at rest, without the movement by voltages that count as 0 V."""
+    """Return the median of readings [m] at rest, without the movement caused by small voltages that count as 0 V."""
     deviation = np.std(readings, ddof=1) / np.sqrt(len(readings)) if len(readings) > 1 else np.nan
     return SensorZero(float(np.median(readings)), float(np.hypot(deviation, _unsure(moved))))
 
 
 def _unsure(moved) -> float:
-    """Return the standard deviation of a small movement of a model: half of it."""
+    """Return the standard deviation assumed for a model's small movement: half of the movement."""
     return 0.5 * abs(float(np.median(moved)))
 
 
 def _without_movement(moved, differences, still: float) -> SensorZero | None:
-    """Return the reading without movement, from readings minus the model's movement ``moved``, all in metres."""
+    """Return the reading without movement; ``differences`` are readings minus the model's movement ``moved`` [m]."""
     resting = np.abs(moved) <= still
     if np.count_nonzero(~resting) < FEWEST_MOVING:
         return _at_rest(differences[resting], moved[resting]) if resting.any() else None

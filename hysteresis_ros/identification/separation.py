@@ -47,16 +47,17 @@ from hysteresis_ros.units import readable
 #: Numbers of plays and dead zones of the trials, and of samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Fraction of the samples, possibly outliers, that the comparison of histories omits.
+#: Fraction of the samples, with the largest errors (possibly outliers), that the comparison of histories omits.
 TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
 #: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
 #: samples, or, for models whose fit needs the beginning, below this fraction of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
-#: A remanence is preferred to rest if its error at the beginning is smaller than this factor times that of rest:
-#: assumed. The trials lack the modes, whose response to the first rise is of the size of a small remanence. If rest has
-#: more than so many times the error of the remaining samples, any smaller error is preferred.
+#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT times that of rest (an
+#: assumed value): the trials do not contain the modes, whose response to the first rise is as large as a small
+#: remanence. If the error of rest is more than EXPLAINED times that of the remaining samples, any smaller error is
+#: preferred.
 REMANENT, EXPLAINED = 0.8, 3.0
 #: If more than this fraction of the recording would be omitted, a start at rest is tried first: assumed.
 MOST_OMITTED = 0.3
@@ -127,9 +128,10 @@ def find_start(
 
 
 def rests_behind(data: IdentificationData, first: int, part: LinearPart, structure=None) -> bool:
-    """Whether rest at 0 V explains the omitted samples before ``first``, now that the dynamics are known.
+    """Whether a start at rest at 0 V explains the omitted samples before ``first``, now that the dynamics are known.
 
-    The trials of :func:`find_start` have a lag alone, and the response of modes to the first rise looks like remanence.
+    The trials of :func:`find_start` contain only a lag, so the response of modes to the first rise looks like
+    remanence.
     """
     return _PastTrials(data, structure or _tried, len(data)).begins_at_rest(first, part)
 
@@ -139,7 +141,7 @@ def _tried(condensed: Condensed) -> FreeWeights:
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
-    """Choose between the histories when the memory lasts too long to omit the affected samples."""
+    """Choose between the histories when the memory lasts too long for the affected samples to be omitted."""
     rest = _trimmed(trials.error())
     found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other history fits better"))]
     if _closed(data):
@@ -161,7 +163,7 @@ def remanence(voltage: float) -> str:
 
 
 class _PastTrials:
-    """Fits to a recording of ``enough`` samples under different histories before it, each with its own lag."""
+    """Fits to a recording of ``enough`` samples with different assumed histories, each with its own lag."""
 
     def __init__(self, data: IdentificationData, structure, enough: int = COARSE):
         self.data, self.structure, self.enough = data, structure, enough
@@ -188,13 +190,14 @@ class _PastTrials:
         )
 
     def begins_at_rest(self, first: int, part: LinearPart | None = None) -> bool:
-        """Whether rest at 0 V explains the samples before ``first``, which would be omitted otherwise.
+        """Whether a start at rest at 0 V explains the samples before ``first``, which would otherwise be omitted.
 
-        ``part``: the dynamics, if they are known; otherwise a lag.
+        ``part``: the dynamics, if they are known; otherwise a lag is fitted.
 
-        For a recording that begins at 0 V: no remanence explains them clearly better than rest does. If a large part
-        would be omitted: rest explains all samples about as well as a fit to those after ``first`` explains them. A fit
-        from a wrong history adapts to the longer part of the recording, so both parts count.
+        For a recording that begins at 0 V, the answer is yes if no remanence explains these samples clearly better than
+        rest does. If a large part would be omitted, it is yes if rest explains all samples about as well as a fit to
+        those from ``first`` on explains them. A fit with a wrong history adapts to the longer part of the recording, so
+        the errors of both parts count.
         """
         if first == 0:
             return False
@@ -225,7 +228,7 @@ class _PastTrials:
         """
         (largest, bipolar), first = self._largest(), float(self.data.input[0])
         found = largest, 0.0
-        for _ in range(2):  # the lag is fitted for the best history, then the history again
+        for _ in range(2):  # fit the lag with the best history so far, then search the history again
             lag = _lag(self.condensed(_after(found[0], first)))
             found = remanent_voltage(
                 lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
@@ -236,7 +239,7 @@ class _PastTrials:
 
 
 def _after(voltage: float, first: float) -> Start:
-    """Return the start of a recording after a voltage [V] left remanence; ``first`` is its first voltage [V]."""
+    """Return the start of a recording after remanence by ``voltage`` [V]; ``first``: first recorded voltage [V]."""
     return Start("estimate", 0, (voltage, first), remanence(voltage))
 
 
@@ -246,13 +249,13 @@ def _lag(condensed: Condensed) -> LinearPart:
 
 
 def _trimmed(error) -> float:
-    """Return the root mean square of errors, without the largest errors, in their unit."""
+    """Return the root mean square of the errors except the largest ones, in their unit."""
     size = np.sort(np.abs(error))
     return float(np.sqrt(np.mean(size[: max(1, int((1.0 - TRIMMED) * len(size)))] ** 2)))
 
 
 def _closed(data: IdentificationData) -> bool:
-    """Return whether the recording may be a whole number of periods: it returns to its start, and does not grow."""
+    """Return whether the recording may be a whole number of periods: it ends where it begins, and does not grow."""
     u, span = data.input, float(np.ptp(data.input))
     reached = [np.flatnonzero(np.abs(u - end) <= CLOSED_PART * span)[0] for end in (u.max(), u.min())]
     return max(reached) <= 0.75 * len(data) and all(
@@ -276,11 +279,11 @@ class Separated:
     """A recording without the dynamics after a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
-    output: np.ndarray  #: shape (N,); Output of the cleaned recording, also without lag and creep [m].
+    output: np.ndarray  #: shape (N,); Output of the cleaned recording [m], without lag and creep too.
     part: LinearPart  #: The linear part after the hysteresis.
     start: Start  #: Assumed beginning of the recording.
     warnings: tuple[str, ...]  #: Warnings about the separation.
-    constant: float = 0.0  #: Constant removed from the output before creep was inverted [m].
+    constant: float = 0.0  #: Constant that was removed from the output before creep was inverted [m].
 
     @property
     def voltage(self) -> np.ndarray:
@@ -301,9 +304,9 @@ class Separated:
 def separated(data: IdentificationData, request: Request) -> Separated:
     """Return the data without lag, creep, outliers and drift, and the assumed history.
 
-    A Preisach or a Prandtl-Ishlinskii model, whichever has the smaller residual, identifies them, because these models
-    leave the shape of the loops free; if they were fitted to this data before, these fits are used. The request stores
-    the result for the next model of the same data.
+    Lag, creep, outliers and drift are identified together with a Preisach or a Prandtl-Ishlinskii model, whichever has
+    the smaller residual, because these models leave the shape of the loops free. Earlier fits of these models to the
+    same data are used again. The request stores the result for the next model of the same data.
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -316,8 +319,8 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)
     if request.skip is None and request.initial is None and start.kind == "zero":
-        skip = None  # the beginning is omitted, because it depends more on the model than lag, creep and drift do
-    # always include creep: without it the search would count slow drifts as noise that hides the lag
+        skip = None  # the beginning is omitted, because there the model matters more than lag, creep and drift
+    # always search creep too: without it, slow drifts would count as noise in which the lag cannot be seen
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
     searches: tuple[tuple[Any, dict], ...] = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
@@ -341,7 +344,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the earlier voltage, as fractions of the voltage of the first fit, and its tolerance.
+#: Range of the search for the voltage before the recording, as fractions of that of the first fit, and its tolerance.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 

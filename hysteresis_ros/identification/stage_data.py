@@ -9,9 +9,9 @@
 
 """Recordings of several inputs and outputs: columns, units, and the periods and realisations in them.
 
-A realisation is a span in which all inputs repeat. Its first period is discarded as run-in if there are enough others.
-One file may contain several realisations, one after the other, as `hysteresis excite` records them; or each realisation
-has its own file.
+A realisation is a span in which all inputs repeat. If it has enough periods, the first one is discarded as run-in. One
+file may contain several realisations, one after the other, as `hysteresis excite` records them, or each realisation may
+have a file of its own.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from hysteresis_ros.recordings.files import load_run
 from hysteresis_ros.recordings.foreign_tables import TABLE_SUFFIXES, Selection, choose_columns, open_table, split_choice
 from hysteresis_ros.units import conversion
 
-#: Signals of an axis of a stage that are its input and its output.
+#: Names of the signals that are the input and the output of an axis of a stage.
 INPUT, OUTPUT = "voltage", "measured"
-#: Sample times of files are different if they differ by more than this fraction.
+#: Sample times of files count as different if they differ by more than this fraction.
 SAME_RATE = 1e-6
-#: Largest number of candidates for a period, and least number of samples of a period.
+#: Largest number of candidate periods, and smallest number of samples of a period.
 CANDIDATES, SHORTEST = 50, 16
-#: A span in which the inputs move by less than this fraction of their largest RMS contains no realisation.
+#: A span counts as containing no realisation if the inputs move by less than this fraction of their largest RMS value.
 STILL = 0.02
-#: Signals of an axis of a stage: what it was asked to follow, and whether the sample was skipped.
+#: Names of the signals of an axis of a stage that state what it should follow, and whether the sample was skipped.
 ASKED, SKIPPED = "reference", "skipped"
-#: Largest part of the samples of a realisation that skipped samples may have changed.
+#: Largest accepted fraction of the samples of a realisation that skipped samples may have changed.
 MOST_CHANGED = 0.1
 
 
@@ -92,9 +92,10 @@ class StageReading:
     sample_time: float  #: [s]
     source: str  #: Names of the files.
     axes: tuple[str, ...] = ()  #: Names of the axes of a recorded stage.
-    #: References [m] of each run, shape (N, m), if samples were skipped: they repeat where the inputs do not.
+    #: References [m] of each run, shape (N, m), if samples were skipped: references repeat even where the inputs do
+    #: not.
     asked: tuple[np.ndarray, ...] = ()
-    skipped: int = 0  #: Number of samples in which the machine was too busy, and the previous inputs were held.
+    skipped: int = 0  #: Number of skipped samples: the machine was too busy, and held the previous inputs.
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return inputs and outputs of the only run; DataError if there are several."""
@@ -191,7 +192,7 @@ def _read(source, columns: StageColumns) -> StageReading:
 
 
 def _asked(recording: Recording) -> tuple[tuple[np.ndarray, ...], int]:
-    """Return the references of the run of a stage, if it skipped samples, and the number of these samples."""
+    """Return the references of a stage's run if samples were skipped, and the number of skipped samples."""
     wanted = [f"{axis}/{signal}" for axis in recording.axes for signal in (ASKED, SKIPPED)]
     if not wanted or not all(name in recording.signals for name in wanted):
         return (), 0
@@ -202,7 +203,7 @@ def _asked(recording: Recording) -> tuple[tuple[np.ndarray, ...], int]:
 
 
 def _trimmed(reading: StageReading) -> StageReading:
-    """Return a reading of one run without missing samples at its ends."""
+    """Return a reading of one run, without missing samples at the ends of the run."""
     (u, y), name = reading.runs[0], reading.source
     finite = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
     if not finite.any():
@@ -223,7 +224,7 @@ def _require(name, inputs, outputs) -> None:
 
 
 def _signal(recording: Recording, source: str, choice: str) -> str:
-    """Return the name of a signal; a given unit must be its SI unit."""
+    """Return the name of the chosen signal; a given unit must be the SI unit of the signal."""
     name, unit = (choice, None) if choice in recording else split_choice(choice)
     if name not in recording.signals:
         near = did_you_mean(name, recording.signals)
@@ -234,7 +235,7 @@ def _signal(recording: Recording, source: str, choice: str) -> str:
 
 
 def _arrays(path: pathlib.Path, columns: StageColumns) -> StageReading:
-    """Return the runs of an array of shape (samples, columns) or (realisations, samples, columns)."""
+    """Return the runs in an array of shape (samples, columns) or (realisations, samples, columns)."""
     _require(path, columns.inputs, columns.outputs)
     try:
         array = np.load(path, allow_pickle=False)
@@ -280,7 +281,7 @@ def find_period(u: np.ndarray) -> int | None:
     best, covered = None, 0.0
     for period in sorted(peaks[np.argsort(-correlation[peaks])][:CANDIDATES]):
         share = float(sum(last - first for first, last in periodic_spans(u, int(period))))
-        # a multiple of the period covers hardly more samples
+        # a multiple of the period covers hardly more samples than the period
         if share > 1.02 * covered:
             best, covered = int(period), share
     return best
@@ -302,15 +303,15 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
 
 
 def _apart(u: np.ndarray, period: int) -> np.ndarray:
-    """Return whether inputs differ from those a period later, of each sample that has one."""
+    """Return, for each sample with a sample one period later, whether the inputs of both differ."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
     return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
 
 
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
-    """Return the realisations of recordings as whole periods; None if the inputs do not repeat.
+    """Return the realisations in recordings as whole periods; None if the inputs do not repeat.
 
-    A stated period that the inputs do not have is refused.
+    If the inputs do not have a stated period, it is refused.
     """
     columns = columns or StageColumns()
     step = reading.sample_time
@@ -361,7 +362,7 @@ def planned_realisations(
 
 
 def without_drift(y: np.ndarray, period: int) -> np.ndarray:
-    """Return outputs without their drift from period to period, for example by creep; the periodic part is kept."""
+    """Return the outputs without their drift from period to period, caused for example by creep."""
     R, count, q = y.shape
     if count < 2 * period:
         return y
@@ -373,7 +374,7 @@ def without_drift(y: np.ndarray, period: int) -> np.ndarray:
 
 
 def _split(u: np.ndarray, period: int) -> list[tuple[int, int]]:
-    """Return spans of whole periods, which end where the inputs stop repeating."""
+    """Return spans of whole periods; a span ends where the inputs stop repeating."""
     found = periodic_spans(u, period)
     return [(last - (last - first) // period * period, last) for first, last in found]
 

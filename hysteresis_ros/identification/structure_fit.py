@@ -10,13 +10,13 @@
 
 """Refinement of a structure on recordings in time: Gauss-Newton on the error of the simulation.
 
-The error is that of a simulation from the inputs alone, never that of an equation with a measured z in it: such an
-equation has a trivial solution that looks perfect. Sensitivities run forward with the states,
+The error is that of a simulation from the inputs alone. An equation error with a measured z would have a trivial
+solution that looks perfect. Sensitivities run forward in time together with the states:
 
     dx⁺ = A dx + B_w dw + (∂A x + ∂B u + ∂B_w w),   dz_i = C_z,i dx + ∂C_z,i x + ∂g_i u_i,
     dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
 
-where dplay = dz ∓ ∂r for a sliding play, and dplay is unchanged for a sticking one. Without plays the dynamics are
+where dplay = dz ∓ ∂r for a sliding play; for a sticking play dplay does not change. Without plays the dynamics are
 linear. Outputs are in units of ``scale``, so that all numbers are near 1.
 """
 
@@ -38,13 +38,13 @@ from hysteresis_ros.models.structure import StructureParameters, packed, run_str
 #: Groups of parameters that affect the states, in the order of the sensitivities; C and D affect only the output.
 DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
 LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
-#: Precision of the sensitivities, which affect the path of the search but not its end. The error itself is computed in
-#: double precision.
+#: Floating-point type of the sensitivities: their precision affects the path of the search, but not its end. The error
+#: itself is computed in double precision.
 PRECISION = np.float32
-#: Number of parameters whose sensitivities are computed at a time, so that they stay in the cache of a core.
+#: Number of parameters whose sensitivities are computed together, so that they fit into the cache of a core.
 CHUNK = 192
-#: JᵀJ is computed from every sample, or from every second to fourth one if at least this number of values per parameter
-#: remains; the gradient always uses all samples.
+#: JᵀJ is computed from all samples, or from every second to every fourth one (STRIDE) if at least ROWS values per
+#: parameter remain; the gradient always uses all samples.
 STRIDE, ROWS = 4, 60
 
 
@@ -63,7 +63,7 @@ class Matrices(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Matrices that multiply the sensitivities, in their precision."""
+    """Matrices that multiply the sensitivities, in the precision of the sensitivities."""
 
     blocks: np.ndarray
     B_w: np.ndarray
@@ -73,7 +73,7 @@ class Rates(NamedTuple):
 
 
 class Varied(NamedTuple):
-    """Position of each of P parameters: index of its group in :data:`DYNAMIC`, row and column in it; shape (P,)."""
+    """Positions of P parameters: index of the group in :data:`DYNAMIC`, row and column in it; shape (P,) each."""
 
     kind: np.ndarray
     row: np.ndarray
@@ -89,7 +89,7 @@ class Found(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Working memory: present states and sensitivities."""
+    """Working memory: states and sensitivities at the present sample."""
 
     x: np.ndarray  #: n states, n temporary values, w (h), plays (h r).
     S: np.ndarray  #: shape (2 n, P); Sensitivities of the states.
@@ -212,7 +212,7 @@ def _advance(model, rates, varied, room, now):
 
 
 def run_sensitivities(model, rates, varied, u, found, room):
-    """Fill ``found`` with the outputs for ``u``; rows of ``u`` in excess of N come first and are the run-in."""
+    """Fill ``found`` with the results for ``u``; the rows of ``u`` in excess of N are the run-in and come first."""
     run_in = u.shape[0] - found.y.shape[0]
     room.x[:] = 0.0
     room.S[:, :] = 0.0
@@ -285,7 +285,7 @@ class ModalStructure:
         )
 
     def within(self, radius: float) -> ModalStructure:
-        """Return the structure with the poles of its modes within ``radius`` and no negative radius of a play."""
+        """Return the structure with the poles of its modes within ``radius``, and without negative radii of plays."""
         sigma, gamma = within(self.sigma, self.beta, self.gamma, radius)
         return replace(self, sigma=sigma, gamma=gamma, radii=np.maximum(self.radii, 0.0))
 
@@ -306,7 +306,7 @@ class Experiments:
 
     u: np.ndarray  #: shape (R, L + N, m) [V]; the first L samples are the run-in.
     y: np.ndarray  #: shape (R, N, q) [m]
-    deviation: np.ndarray  #: shape (R,); Weighting of each realisation: error [m] that counts as one.
+    deviation: np.ndarray  #: shape (R,); Error [m] that counts as 1 in each realisation.
 
     def part(self, chosen) -> Experiments:
         """Return some of the realisations."""
@@ -342,7 +342,7 @@ def refine_in_time(
     deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; with ``held_out``, stop and return the point that is best on these data.
+    """Refine groups of parameters; ``held_out`` data end the search and select the returned point.
 
     No step begins after ``deadline``, a time of ``time.perf_counter`` [s].
     """
@@ -386,9 +386,9 @@ def refine_in_time(
 
 
 def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
-    """Return JᵀJ and Jᵀr of the mean square error, summed realisation by realisation."""
+    """Return JᵀJ and Jᵀr for the mean square error, as sums over the realisations."""
     (n, m), q, (h, r) = model.B.shape, len(model.C), model.weights.shape
-    # the groups that affect the states come first, in the order of their indices
+    # the groups that affect the states come first, in the order of their indices in DYNAMIC
     entries = [
         (number, index[0], index[1] if len(index) > 1 else 0)
         for number, name in enumerate(DYNAMIC)

@@ -12,9 +12,9 @@
 
 McKelvey's method [1]_ for arbitrary lines finds A and C of a discrete state space from the range of the stacked
 response, without iteration and without a canonical form; B and D follow by linear least squares. The model is then
-transformed into modal form: A is block-diagonal with 2×2 blocks [[σ, β], [γ, σ]], in which β is fixed. All its numbers
-are refined on the response by Levenberg and Marquardt's method. A block represents a conjugate pair (β γ < 0) or two
-real poles, and may change between the two during the fit.
+transformed into modal form: A is block-diagonal with 2×2 blocks [[σ, β], [γ, σ]], in which β is fixed. All other
+numbers of the model are refined on the response by Levenberg and Marquardt's method. A block represents a conjugate
+pair (β γ < 0) or two real poles, and may change from one to the other during the fit.
 
 References
 ----------
@@ -35,10 +35,10 @@ from hysteresis_ros.identification.levenberg_marquardt import Minimum, minimise
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.matrix_fraction import refit_input
 
-#: Default for the largest modulus of a pole. Poles outside the unit circle are reflected into it; poles between this
+#: Default of the largest modulus of a pole. Poles outside the unit circle are reflected into it; poles between this
 #: radius and the circle are moved to this radius.
 RADIUS = 1.0 - 1e-5
-#: Two real poles that are closer together than this are represented by a block with this half distance.
+#: A block represents two real poles that are closer together than twice this value as poles at this half distance.
 HALF_DISTANCE = 1e-4
 
 
@@ -51,7 +51,7 @@ def subspace_model(
     feedthrough: bool = True,
     radius: float = RADIUS,
 ) -> LinearModel:
-    """Return the stable state space of ``order`` by McKelvey's method.
+    """Return the stable state space of the given order by McKelvey's method.
 
     ``blocks``: number of block rows of the stacked response, by default three times the minimum for the order;
     ``weights``, shape (F,): weights of the lines; ``radius``: largest modulus of a pole.
@@ -70,14 +70,14 @@ def subspace_model(
     powers = z[:, None] ** np.arange(rows)
     if weights is not None:
         powers = powers * np.asarray(weights, dtype=float)[:, None]
-    # a column for each line and input, with the powers of the input above those of the response
+    # a column for each line and input; the powers of the input are above those of the response
     exciting = np.einsum("fr,ij->rifj", powers, np.eye(m)).reshape(rows * m, F * m)
     excited = np.einsum("fr,fij->rifj", powers, G / scale).reshape(rows * q, F * m)
     table = np.concatenate([exciting, excited])
     table = np.concatenate([table.real, table.imag], axis=1)
     (triangle,) = scipy.linalg.qr(table.T, mode="r", overwrite_a=True, check_finite=False)[:1]
     triangle = triangle[: len(table)]
-    # the part not explained by the inputs is in the range of the observability matrix
+    # the part of the response that the inputs do not explain is in the range of the observability matrix
     left, _, _ = np.linalg.svd(triangle[rows * m :, rows * m :].T)
     seen = left[:, :order]
     A = np.linalg.lstsq(seen[:-q], seen[q:], rcond=None)[0]
@@ -93,7 +93,7 @@ def _deviation(weights, shape):
 
 
 def _stabilised(A, radius: float) -> np.ndarray:
-    """Return A with poles outside the unit circle reflected into it, and all of them within ``radius``."""
+    """Return A with poles outside the unit circle reflected into it, and then all poles within ``radius``."""
     poles, vectors = np.linalg.eig(A)
     size = np.abs(poles)
     if np.all(size <= radius):
@@ -104,7 +104,7 @@ def _stabilised(A, radius: float) -> np.ndarray:
 
 
 def modal(model: LinearModel) -> LinearModel:
-    """Return a model of even order in modal form: A has 2×2 blocks, whose input matrices have norm 1."""
+    """Return a model of even order in modal form: A has 2×2 blocks, and the input matrix of each has norm 1."""
     if model.order % 2:
         raise FitError(f"order = {model.order}: modes are pairs of poles; choose an even order")
     poles, vectors = np.linalg.eig(model.A)
@@ -129,9 +129,9 @@ def modal(model: LinearModel) -> LinearModel:
 
 
 class ModalParameters:
-    """The numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant.
+    """The free numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant.
 
-    Without ``feedthrough`` D is zero and not among them.
+    Without ``feedthrough`` D is zero and not part of the vector.
     """
 
     def __init__(self, model: LinearModel, feedthrough: bool = True):
@@ -146,13 +146,13 @@ class ModalParameters:
         )
 
     def vector(self, model: LinearModel) -> np.ndarray:
-        """Return the numbers of a model with the same β."""
+        """Return the vector of a model with the same β."""
         sigma, gamma = np.diag(model.A)[::2], np.diag(model.A, -1)[::2]
         through = model.D.ravel() if self.feedthrough else ()
         return np.concatenate([sigma, gamma, model.B.ravel(), model.C.ravel(), through])
 
     def model(self, theta) -> LinearModel:
-        """Return the model of a vector."""
+        """Return the model with the numbers in a vector."""
         n, m, q = 2 * self.blocks, self.inputs, self.outputs
         return replace(
             self.template,
@@ -164,7 +164,7 @@ class ModalParameters:
 
 
 def modal_matrix(sigma, beta, gamma) -> np.ndarray:
-    """Return A of blocks [[σ, β], [γ, σ]]."""
+    """Return the matrix A with blocks [[σ, β], [γ, σ]]."""
     n = 2 * len(sigma)
     A = np.zeros((n, n))
     first = np.arange(0, n, 2)
@@ -213,12 +213,12 @@ class _ResponseError:
         return X, L, rest * self.weights
 
     def cost(self, theta) -> float:
-        """Return the sum of the squares of the error."""
+        """Return the sum of the squared errors."""
         rest = self.terms(theta)[2]
         return float(np.sum(rest.real**2 + rest.imag**2))
 
     def normal(self, theta) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrix and the right-hand side of the normal equations of a Gauss-Newton step."""
+        """Return matrix and right-hand side of the normal equations for a Gauss-Newton step."""
         given = self.given
         X, L, rest = self.terms(theta)
         n, m, q = 2 * given.blocks, given.inputs, given.outputs
@@ -249,7 +249,7 @@ def refine_on_response(
     radius: float = RADIUS,
     feedthrough: bool = True,
 ) -> tuple[LinearModel, Minimum]:
-    """Return the modal model refined on a response, and the result of the search.
+    """Return the modal model refined on a frequency response, and the result of the search.
 
     ``weights``, shape (F, q, m): weights of the entries, by default the inverse of the RMS of the whole response;
     ``radius``: largest modulus of a pole; ``feedthrough``: whether D is free, or zero.

@@ -9,8 +9,8 @@
 
 """The thresholds for the decisions of an identification, in one table with their reasons.
 
-A :class:`Threshold` is the relative reduction of an error at which a richer explanation replaces a simpler one. Equal
-values have different reasons, so each decision has its own row.
+A :class:`Threshold` is the relative reduction of an error that a richer explanation must achieve to replace a simpler
+one. Equal values can have different reasons, so each decision has its own row.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Threshold:
-    """Smallest relative improvement for a richer explanation."""
+    """Smallest relative improvement that justifies a richer explanation."""
 
-    part: float  #: Fraction of the old error, 0 … 1.
-    error: str  #: The compared error, and its samples.
+    part: float  #: Required reduction as a fraction of the old error, 0 … 1.
+    error: str  #: The error that is compared, and its samples.
     reason: str  #: Reason why the threshold is neither smaller nor larger.
 
     def bound(self, old: float) -> float:
-        """Return the error that a richer explanation must undercut, in the unit of ``old``."""
+        """Return the error, in the unit of ``old``, that a richer explanation must stay below."""
         return (1.0 - self.part) * old
 
     def improves(self, new: float, old: float) -> bool:
-        """Return whether an error ``new`` is far enough below ``old`` for the richer explanation."""
+        """Return whether the error ``new`` is far enough below ``old`` to justify the richer explanation."""
         return bool(new < self.bound(old))
 
 
@@ -65,7 +65,7 @@ FAST_DYNAMICS = Threshold(
 STRUCTURE = Threshold(
     0.03, HELD_OUT, "More freedom always lowers the residual; a structure must also predict held-out parts."
 )
-#: Smallest improvement on held-out parts in its standard errors, because the improvement on one part may be chance.
+#: Smallest improvement on held-out parts, in standard errors, because the improvement on one part may be chance.
 STANDARD_ERRORS = 1.0
 LOOPS_OF_ONE_SIZE = Threshold(
     0.3,
@@ -75,8 +75,8 @@ LOOPS_OF_ONE_SIZE = Threshold(
 ANOTHER_KIND = Threshold(
     0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no assumption about smaller loops."
 )
-#: If the simplest structure leaves more than this fraction of the stroke, a free Preisach density is tried too: loops
-#: that saturate, or whose branches have different shapes. Piezo stacks have far smaller values.
+#: If the residual of the simplest structure exceeds this fraction of the stroke, a free Preisach density is tried too,
+#: for loops that saturate or whose branches differ in shape. With piezo stacks the residual is far smaller.
 POOR = 0.005
 DENSITY_DECAY = Threshold(
     0.1,
@@ -84,7 +84,7 @@ DENSITY_DECAY = Threshold(
     "Loops of one size hardly distinguish the decay of the density from its map, and a decay imitates loops that grow "
     "with the rate (8 % less residual, but larger errors on other loops): the default is kept.",
 )
-#: Densities whose residual is within this fraction of the smallest one describe a recording equally well.
+#: Densities describe a recording equally well if their residuals are within this fraction of the smallest residual.
 EQUAL_DENSITIES = 0.03
 NETWORK_SIZE = Threshold(0.2, RESIDUAL, "More shape functions take longer to train and to run.")
 FREER_MODEL = Threshold(
@@ -93,7 +93,7 @@ FREER_MODEL = Threshold(
 NO_PRIOR = Threshold(
     0.5, HELD_OUT, "If smaller loops are not determined, the model with the stated prior is kept unless clearly wrong."
 )
-#: Allowed relative increase of the residual by smoothing of the weights; smaller than STRUCTURE.
+#: Allowed relative increase of the residual by smoothing the weights; smaller than STRUCTURE.
 SMOOTHER_WEIGHTS = 0.01
 #: An ambiguity above this fraction of the stroke is reported as a warning.
 NOTABLE_AMBIGUITY = 0.002
@@ -114,11 +114,11 @@ PAST_WHILE_PREDICTING = Threshold(
 # Drift and outliers
 
 DRIFT = Threshold(0.2, HELD_OUT, "A drift is not part of the model, and the shape of loops may resemble a small drift.")
-#: Relative difference of drifts at which the iterations of fit and cleaning have converged.
+#: The iterations of fit and cleaning have converged if the drift changes by less than this fraction.
 SAME_DRIFT = 0.01
-#: Distance of outliers from the median in standard deviations of the bulk; Gaussian noise has no such samples …
+#: Smallest distance of outliers from the median, in standard deviations of the bulk; Gaussian noise hardly reaches it …
 OUTLYING = 5.0
-#: … and largest fraction of outliers; with more of them the model is wrong.
+#: … and largest fraction of outliers; if there are more, the model is wrong.
 MOST_OUTLIERS = 0.1
-#: Fraction of the squared error at which outliers are removed and the fit is repeated.
+#: Outliers are removed and the fit is repeated if the outliers cause at least this fraction of the squared error.
 OUTLIERS_MATTER = 0.01

@@ -10,10 +10,11 @@
 """Continuous transfer functions by output error (B2), and their reduction to second order.
 
 ``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. The simulated output is fitted, not a one-step prediction.
-For given poles the output is linear in the numerator, the initial state and an offset, which are solved for exactly
-within every step (variable projection); only the n numbers of the denominator are searched. The denominator is a
-product of ``s² + α s + β`` and ``s + α`` with positive coefficients. Exactly the stable denominators have this form, so
-every step of the search stays stable. A reduction matches the step response (B2) and gives mass, damping and stiffness.
+For given poles the output is linear in the numerator, the initial state and an offset; these are solved for exactly in
+every step (variable projection), and only the n coefficients of the denominator are searched. The denominator is a
+product of ``s² + α s + β`` and ``s + α`` with positive coefficients. Every stable denominator has this form, and no
+unstable one has, so every step of the search stays stable. A reduction to second order matches the step response (B2)
+and gives mass, damping and stiffness.
 
 References
 ----------
@@ -44,7 +45,7 @@ from hysteresis_ros.identification.linear_systems import (
 )
 from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
 
-#: Initial states of the model.
+#: Initial states that a fit can assume.
 INITIAL = ("zero", "rest", "periodic", "estimate")
 
 
@@ -55,14 +56,15 @@ class Structure:
     poles: int = 2  #: poles, zeros: n ≥ 1 and m ≤ n.
     zeros: int = 0
     intersample: str = "zoh"  #: ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
-    #: ``zero``, ``rest`` (under the first input), ``periodic`` (the data has only whole periods) or ``estimate``.
+    #: Initial state: ``zero``, ``rest`` (at the first input), ``periodic`` (only whole periods of data) or
+    #: ``estimate``.
     initial: str = "zero"
     offset: bool = False  #: Whether a constant is also fitted.
     delay: float = 0.0  #: Known dead time of the input [s].
 
     @property
     def columns(self) -> int:
-        """Number of parameters in which the output is linear: numerator, offset, initial state."""
+        """Number of parameters in which the output is linear: coefficients of the numerator, offset, initial state."""
         return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
 
     def check(self) -> None:
@@ -82,7 +84,8 @@ class Structure:
 class Search:
     """Starts of the search for the poles."""
 
-    #: Number of starts: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
+    #: Number of starts: an ARX fit, the start given by the user, and frequencies and dampings spread over the band of
+    #: the data.
     starts: int = 6
     start_poles: Sequence[complex] | np.ndarray | None = None  #: shape (n,); Start given by the user [rad/s].
     seed: int = 0  #: Seed of the random starts.
@@ -104,8 +107,8 @@ class TransferFunctionFit:
 
     numerator: np.ndarray  #: shape (m + 1,); b_m … b_0, highest power first.
     denominator: np.ndarray  #: shape (n + 1,); 1, a_(n-1) … a_0.
-    #: shape (m + 1 + n, m + 1 + n); Covariance of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data
-    #: cannot separate them.
+    #: shape (m + 1 + n, m + 1 + n); Covariance of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN for coefficients
+    #: that the data cannot separate.
     covariance: np.ndarray
     offset: float  #: Constant of the output, in its unit; 0 when it was not fitted.
     delay: float  #: Dead time of the input [s], as given.
@@ -167,7 +170,7 @@ class TransferFunctionFit:
         )
 
 
-#: Largest number of evaluations of each start, before the best one continues.
+#: Largest number of evaluations of each start; the best start is then continued.
 EVALUATIONS = 40
 
 
@@ -196,7 +199,7 @@ def fit_transfer_function(
         ranked[-1] = candidates[0]
     begun = time.perf_counter()
     problem.cost(ranked[0])
-    # each evaluation needs one further evaluation for each parameter, for the derivatives
+    # the derivatives need one further evaluation for each parameter
     seconds = (time.perf_counter() - begun) * EVALUATIONS * (1 + len(ranked[0])) * len(ranked)
     solved = shared([Job(problem.solve, (start, EVALUATIONS)) for start in ranked], seconds)
     results = list(zip(ranked, solved, strict=True))
@@ -215,7 +218,7 @@ def fit_transfer_function(
 
 
 class _Problem:
-    """Residual of the fit in scaled units as a function of the logarithms of the denominator's factors."""
+    """Residual of the fit, in scaled units, as a function of the logarithms of the coefficients α and β."""
 
     def __init__(self, u, y, sample_time: float, structure: Structure, skip: int):
         self.u, self.y, self.sample_time, self.structure, self.skip = u, y, sample_time, structure, skip
@@ -236,7 +239,7 @@ class _Problem:
         return np.polymul(result, [1.0, values[-1]]) if self.poles % 2 else result
 
     def theta(self, poles):
-        """Return the logarithms for given poles, mirrored to the stable side and clipped to the bounds."""
+        """Return the logarithms for given poles, after mirroring them to the stable side and clipping to the bounds."""
         poles = -np.abs(np.real(poles)) + 1j * np.imag(poles)
         pairs = [p for p in poles if p.imag > 0.0]
         real = sorted((p.real for p in poles if p.imag == 0.0), reverse=True)
@@ -247,7 +250,7 @@ class _Problem:
         return np.clip(values, self.low + 1e-6, self.high - 1e-6)
 
     def table(self, denominator):
-        """Return the columns that combine linearly to the output, shape (N, …): numerator, offset, free response."""
+        """Return the columns whose linear combination is the output, shape (N, …): numerator, offset, free response."""
         model = self.structure
         simulation = CanonicalSimulation(denominator, self.sample_time, model.intersample)
         start = "zero" if model.initial == "estimate" else model.initial
@@ -286,7 +289,7 @@ class _Problem:
 
 
 def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
-    """Return logarithms of initial values: the user's, those of an ARX fit, a grid over the band, random values."""
+    """Return logarithms of initial values: of the user, of an ARX fit, of a grid over the band, and random ones."""
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:
@@ -297,9 +300,9 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
         arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # a negative real pole has no continuous equivalent
         found.append(problem.theta(np.log(arx) / sample_time))
     except (FitError, DataError):
-        pass  # an ARX fit needs more excitation than output error does; the other starts remain
+        pass  # an ARX fit needs more excitation than an output-error fit; the other starts remain
     random = np.random.default_rng(search.seed)
-    # observable frequencies: from one period in the data to half the sample rate
+    # observable frequencies: from one period over all data to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
     grid = np.exp(np.linspace(band[0], band[1], 6))
     for frequency, damping in itertools.product(grid, (0.05, 0.7)):
@@ -349,9 +352,9 @@ def _result(problem: _Problem, best, scales: tuple[float, float], starts, units)
 
 
 def _covariance(problem: _Problem, denominator, table, solution, residual, gain: float):
-    """Return the covariance of the coefficients, NaN where the data does not distinguish them, and warnings."""
+    """Return the covariance of the coefficients (NaN where the data cannot distinguish them) and warnings."""
     predicted = table @ solution
-    # the derivative by each coefficient of the denominator, with a fixed linear part
+    # derivatives with respect to the coefficients of the denominator, with fixed linear parameters
     derivatives = []
     for j in range(1, problem.poles + 1):
         moved = denominator.copy()
@@ -371,7 +374,7 @@ def _covariance(problem: _Problem, denominator, table, solution, residual, gain:
 
 
 def _warnings(problem: _Problem, best, numerator, denominator):
-    """Yield warnings about the search and the transfer function it found."""
+    """Yield warnings about the search and about the transfer function that was found."""
     at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
     if at_bound.any():
         yield "a pole is at its bound, slower or faster than the data can resolve: lower the order"
@@ -404,7 +407,7 @@ class SecondOrder:
     gain: float  #: DC gain, output unit per input unit.
     frequency: float  #: ω [rad/s].
     damping: float  #: ζ [1].
-    rms: float  #: Difference of the two step responses, relative to the DC gain.
+    rms: float  #: RMS difference of the step responses of both models, relative to the DC gain.
 
     @property
     def numerator(self) -> np.ndarray:
@@ -421,8 +424,8 @@ class SecondOrder:
 class MassSpringDamper:
     """``G(s) = 1/(m s² + b s + K)`` (B2, eq. 3).
 
-    With an input in V and an output in m the units are not those of mechanics: m in V s²/m and so on; they become kg,
-    N s/m and N/m when the input is a force.
+    If the input is in V and the output in m, the units are not those of mechanics (m is in V s²/m, and so on). If the
+    input is a force in N, they are kg, N s/m and N/m.
     """
 
     mass: float  #: m [input unit · s²/output unit].
@@ -431,9 +434,9 @@ class MassSpringDamper:
 
 
 def dominant_second_order(numerator, denominator, horizon: float | None = None, samples: int = 2000) -> SecondOrder:
-    """Keep the dominant pole pair's frequency and the DC gain, and fit the damping to the step response (B2).
+    """Keep the frequency of the dominant pole pair and the DC gain; fit the damping to the step response (B2).
 
-    The dominant pair is the slowest: the one whose step response decays last.
+    The dominant pole pair is the slowest: its step response decays last.
 
     Units: ``horizon`` [s].
     """

@@ -25,34 +25,36 @@ import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 
-#: Lags of the correlations [samples], and the probability that each is within its bounds (as in paper B).
+#: Lags of the correlations [samples], and probability that the correlation at a lag is within its bounds (as in paper
+#: B).
 LAGS = 25
 CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
-    """A correlation of the residual with its bounds for an ideal residual."""
+    """A correlation of the residual, with the bounds that hold for an ideal residual."""
 
-    lags: np.ndarray  #: shape (L,) [samples]; a positive lag of an input is the input that many samples earlier.
+    lags: np.ndarray  #: shape (L,) [samples]; positive: the input is that many samples before the residual.
     correlation: np.ndarray  #: shape (L,); Normalised, -1 … 1.
-    bound: float  #: Half width of the confidence interval of each single lag.
-    confidence: float  #: Its probability.
-    outside: int  #: Number of lags outside the region (lag 0 of an autocorrelation is not tested).
+    bound: float  #: Half width of the confidence interval at each single lag.
+    confidence: float  #: Probability of the confidence interval.
+    outside: int  #: Number of tested lags outside the interval (lag 0 of an autocorrelation is not tested).
     largest: float  #: Largest absolute correlation of the lags tested.
-    #: Half width of the region that contains all tested lags together with that probability (Bonferroni).
+    #: Half width of the region that contains all tested lags together with the probability ``confidence`` (Bonferroni).
     joint_bound: float
-    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN: not computed.
+    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN if not
+    #: computed.
     probability: float
 
     @property
     def passed(self) -> bool:
-        """Whether all lags are within the joint bound; a false rejection has the probability 1 - confidence."""
+        """Whether all lags are within the joint bound; the probability of a false rejection is 1 - confidence."""
         return self.largest <= self.joint_bound
 
 
 def _correlation_test(lags, correlation, tested, deviation, confidence, probability=float("nan")):
-    """Return the test of the lags ``tested`` (a slice); for independent signals each has the standard ``deviation``."""
+    """Return the test of the lags ``tested`` (a slice); ``deviation``: standard deviation for independent signals."""
     size = np.abs(correlation[tested])
     bound = scipy.stats.norm.isf(0.5 * (1.0 - confidence)) * deviation
     joint = scipy.stats.norm.isf(0.5 * (1.0 - confidence) / max(size.size, 1)) * deviation
@@ -64,9 +66,9 @@ def _correlation_test(lags, correlation, tested, deviation, confidence, probabil
 class Validation:
     """Comparison of a prediction with a measurement."""
 
-    samples: int  #: Number of compared samples, without the skipped ones.
-    skipped: int  #: Number of omitted first samples.
-    offset: float  #: Constant that was added to the prediction, in its unit; 0 when it was fixed.
+    samples: int  #: Number of compared samples, without the omitted ones.
+    skipped: int  #: Number of omitted samples at the beginning.
+    offset: float  #: Constant that was added to the prediction, in its unit; 0 if it was fixed.
     rmse: float  #: Root mean square error, in the unit.
     maximum_error: float  #: Largest absolute error, in the unit.
     stroke: float  #: Peak-to-peak measurement, in the unit.
@@ -77,7 +79,7 @@ class Validation:
     cross_correlation: CorrelationTest | None  #: Cross-correlation of input and residual; None without an input.
     unit: str  #: SI unit of the measurement.
     residual: np.ndarray  #: shape (samples,); Measurement minus prediction, in the unit.
-    warnings: tuple[str, ...]  #: Residual not white, residual correlated with the input.
+    warnings: tuple[str, ...]  #: Sentences, if the residual is not white or is correlated with the input.
 
     @property
     def rmse_percent_of_stroke(self) -> float:
@@ -165,7 +167,7 @@ def _test_warnings(auto: CorrelationTest, cross: CorrelationTest | None, lags: i
 
 
 def fit_percent(measured, predicted) -> float:
-    """Return 100 (1 - ‖y - ŷ‖/‖y - mean y‖) [%]; 100 is perfect, 0 no better than the mean."""
+    """Return 100 (1 - ‖y - ŷ‖/‖y - mean y‖) [%]; 100 is perfect, 0 is no better than the mean of y."""
     y, p = np.asarray(measured, dtype=float), np.asarray(predicted, dtype=float)
     return float(100.0 * (1.0 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean())))
 
@@ -201,8 +203,8 @@ def residual_autocorrelation(residual, lags: int = LAGS, confidence: float = CON
 def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
     """Return the correlation of earlier and later inputs with a residual at the lags -``lags`` … ``lags``.
 
-    Its variance for independent signals is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so that coloured signals have
-    wider bounds. Correlation at negative lags means feedback from the output to the input.
+    For independent signals the variance of the correlation is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so coloured
+    signals have wider bounds. Correlation at negative lags means feedback from the output to the input.
 
     Units: ``lags`` [samples].
     """
@@ -216,7 +218,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     if size == 0.0:
         return _correlation_test(every, np.zeros(every.size), slice(None), 0.0, confidence)
     correlation = scipy.signal.correlate(e, u, method="auto")[N - 1 - lags : N + lags] / size
-    # summed only over the significant lags, because over all N lags the noise of the autocorrelations would add up
+    # summed over the significant lags only: over all N lags the noise of the autocorrelations would accumulate
     reach = min(N - 1, max(4 * lags, int(10 * np.sqrt(N))))
     r_e, r_u = (scipy.signal.correlate(x, x, method="auto")[N - 1 : N + reach] / (x @ x) for x in (e, u))
     spread = max(1.0 + 2.0 * float(np.sum(r_e[1:] * r_u[1:])), 1.0 / N)
@@ -228,9 +230,10 @@ def parameter_covariance(
 ) -> np.ndarray:
     """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d).
 
-    ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns. Residuals
-    are assumed white; ``correlated`` residuals count as fewer samples. Undetermined parameters raise DataError; with
-    ``truncated``, directions with a singular value below this fraction of the largest get no variance instead.
+    ``others`` is the number of fitted parameters without a column, such as a constant that was removed from all
+    columns. Residuals are assumed white; with ``correlated``, correlated residuals count as fewer samples. Undetermined
+    parameters raise DataError; with ``truncated``, directions whose singular value is below this fraction of the
+    largest get no variance instead.
     """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape
@@ -253,7 +256,7 @@ def parameter_covariance(
 
 
 def inflation(residual) -> float:
-    """Return the factor by which the correlation of a residual, shape (N,), raises the variance of a mean."""
+    """Return the factor by which the correlation of a residual, shape (N,), increases the variance of its mean."""
     e = np.asarray(residual, dtype=float)
     e, N = e - e.mean(), len(e)
     correlation = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * N)) ** 2)[: N // 4]

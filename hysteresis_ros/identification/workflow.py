@@ -9,8 +9,8 @@
 
 """Identification and validation in one call each: from a recording to a parameter file, and to its accuracy.
 
-``hysteresis identify`` and ``hysteresis validate`` are these two functions. With ``--model auto``, models that need no
-initial values are compared on held-out thirds of the recording.
+The commands ``hysteresis identify`` and ``hysteresis validate`` call these two functions. With ``--model auto``, all
+models that need no initial values are compared on held-out thirds of the recording.
 """
 
 from __future__ import annotations
@@ -59,27 +59,27 @@ from hysteresis_ros.units import figure_name, readable, shown_in
 HELD_OUT_PART = 1.0 / 3.0
 #: Least number of samples of a comparison.
 FEWEST_COMPARED = 50
-#: Preferred model if the recording does not determine smaller loops, unless another one is much better.
+#: Model that is preferred if the recording does not determine smaller loops, unless another model is much better.
 PRIOR_MODEL = "prandtl_ishlinskii"
 #: Models with more freedom than the others.
 FREER_MODELS = ("generalised_play",)
-#: A model whose error on the first held-out part exceeds this multiple of the smallest one is not fitted again.
+#: A model whose error on the first held-out part exceeds this multiple of the smallest error is not fitted again.
 BEHIND = 1.5
 
 
 def choose_model(data: IdentificationData, linear: str | None, progress=None, **conditions):
     """Return the name of the model that predicts held-out data best, and the RMS errors of all models.
 
-    Each model is fitted to the first two thirds and predicts the last third as far as the voltage stays within the
-    range of the fit; a constant is free. Models whose error there is at most 1.5 times the smallest one are then fitted
-    to the last two thirds too, and predict the first third; of the others the error on the last third is returned.
-    Models that cannot be fitted are skipped. A model with more freedom must be better by three per cent. If the
-    recording does not determine loops smaller than its own
-    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data is no new information: the
-    model with a stated prior is then chosen, unless another model has less than half of its error.
+    Each model is fitted to the first two thirds and predicts the last third, as far as the voltage there stays within
+    the range of the fit; a constant is free. Models whose error is at most 1.5 times the smallest one are then also
+    fitted to the last two thirds, and predict the first third. For the other models the error on the last third is
+    returned. Models that cannot be fitted are skipped. A model with more freedom must be better by three per cent. If
+    the recording does not determine loops smaller than its own
+    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data adds no information: the model
+    :data:`PRIOR_MODEL` is then chosen, unless another model has less than half of its error.
     """
     refuse_falling(data)
-    # the separation of the static models uses the fits of the models before them
+    # the separation for the static models uses the fits of the models before them in this list
     ahead = sorted(MODELS, key=lambda name: (name != PRIOR_MODEL, name not in FREER_MODELS, name != "preisach"))
     ahead = [name for name in ahead if MODELS[name].block.invertible]
     squares: dict[str, list[np.ndarray]] = {}
@@ -125,7 +125,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
 def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: slice, **request):
     """Return the squared errors [m²] of a model on held-out samples within the range of the fit, and its ambiguity [m].
 
-    ``fitted`` and ``rest`` are the fitted and the held-out samples.
+    ``fitted`` and ``rest`` select the fitted and the held-out samples.
     """
     fit = registry.identify(data.part(fitted.start, fitted.stop), model, **request)
     predicted = predict(fit.chain, data.input, data.sample_time, measured=data.output)
@@ -140,24 +140,24 @@ def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: 
 OFFSETS = ("kept", "free")
 #: RMS error [% of the stroke] above which a model is reported as a poor description.
 LEFT = 2.0
-#: RMS error in the omitted beginning, as a multiple of the predicted error, above which it is stated.
+#: RMS error in the omitted beginning, as a multiple of the predicted error, above which a warning states this error.
 BEGINNING = 2.0
-#: A recording begins at 0 V if its first voltage is below this fraction of the range.
+#: A recording counts as beginning at 0 V if its first voltage is below this fraction of the range.
 AT_ZERO = 0.01
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
 
 
 class Conditions(TypedDict, total=False):
-    """Conditions of the comparison of a model with a recording."""
+    """Conditions for the comparison of a model with a recording."""
 
-    #: Number of first samples that the error omits; the model simulates them nevertheless. By default :func:`identify`
-    #: and :func:`validate` omit the samples until the voltage has been near both ends of its range, unless ``initial``
-    #: defines the past.
+    #: Number of samples at the beginning that the error omits; the model simulates them nevertheless. By default,
+    #: :func:`identify` and :func:`validate` omit the samples until the voltage has been near both ends of its range,
+    #: unless ``initial`` defines the voltage history.
     skip: int | None
     offset: str  #: ``kept``, or ``free``: one constant is removed, for a sensor without absolute zero.
-    #: The input between its samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default: ``zoh``
-    #: for an identification, and that of the identification for a validation.
+    #: Assumed input between its samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default:
+    #: ``zoh`` for an identification; for a validation, the assumption of the identification.
     intersample: str | None
     #: The initial state: ``zero`` (at rest at 0 V), ``periodic`` (the input was periodic before) or ``estimate``. The
     #: default depends on the model.
@@ -169,7 +169,7 @@ class Fast:
     """A recording of small and fast movements that starts from rest at 0 V."""
 
     data: IdentificationData  #: Recording at the sample rate of the axis.
-    skip: int  #: Number of first samples that do not count, such as those of the ramp to the operating point.
+    skip: int  #: Number of omitted samples at the beginning, such as the ramp to the operating point.
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,7 +376,7 @@ def _identified(reading: Reading, model, given: Conditions, *, linear, chosen, i
     if progress is not None:
         progress(0, f"model {model}")
     skip = _averaged(given.get("skip"), data)
-    # the input moves between averaged samples, even if it was held between the original ones
+    # averaged samples: the input moves between them, even if it was held between the original samples
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
     tried: dict[str, float] = {}
     if model == registry.AUTO:
@@ -455,7 +455,7 @@ class HysteresisEstimator:
 def _finished(
     result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
 ) -> Identified:
-    """Return an identification with its validation, file and figures; ``read``: warnings of the reading."""
+    """Return an identification with its validation, file and figures; ``read``: warnings from reading the data."""
     if free:
         plant = replace(result.chain, offset=0.0)
         result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
@@ -540,7 +540,7 @@ def validate(
     else:
         plant, section = load_chain(parameters, namespace)
         identified_from = section.get("source")
-        if "input" not in section:  # the file does not say from which units it was made
+        if "input" not in section:  # the file does not state the units of its recording
             plant = replace(plant, units=(data.input_unit, data.output_unit))
     if (data.input_unit, data.output_unit) != plant.units:
         raise IdentificationError(
@@ -560,7 +560,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     skip = _averaged(given.get("skip"), data)
     if skip is None:
-        # samples after an unknown history are omitted, as in an identification
+        # samples after an unknown history are omitted, as by an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     free = given.get("offset") == "free"
     shown = as_sensed(data, predicted)
@@ -579,7 +579,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
 
 
 def within_saturation(data: IdentificationData, recording: RecordingSummary) -> IdentificationData:
-    """Return the data with the input limited to where the output still follows it, with a warning; or unchanged."""
+    """Return the data, with its input limited to the range in which the output follows, and a warning; or unchanged."""
     low, high = recording.saturation
     limits = [-np.inf if low is None else low, np.inf if high is None else high]
     width = 1.5 * float(np.ptp(data.input)) / LEVELS
@@ -608,7 +608,7 @@ def within_saturation(data: IdentificationData, recording: RecordingSummary) -> 
 
 
 def as_sensed(data: IdentificationData, predicted: np.ndarray) -> np.ndarray:
-    """Return a prediction as a sensor shows it that clips where the recording is clipped, shape (N,)."""
+    """Return the prediction, shape (N,), clipped where the sensor clipped the recording."""
     clipped = clipped_samples(data.output, data.input)
     ends = [float(end) if np.any(clipped & (data.output == end)) else math.inf for end in _extremes(data.output)]
     return np.clip(predicted, -math.inf if math.isinf(ends[0]) else ends[0], ends[1])
@@ -619,12 +619,12 @@ def _extremes(values: np.ndarray) -> tuple[float, float]:
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:
-    """Return the number of averaged samples that contain the first ``skip`` samples of the recording."""
+    """Return the number of averaged samples that the first ``skip`` samples of the recording became."""
     return None if skip is None else -(-max(skip - data.first, 0) // data.factor) if data.factor > 1 else skip
 
 
 def _at_recorded_rate(chain: PlantModel, data: IdentificationData) -> PlantModel:
-    """Return the chain at the original rate of an averaged recording, if possible."""
+    """Return the chain at the sample rate before averaging, if possible."""
     recorded = data.sample_time / data.factor
     if data.factor == 1 or (chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order):
         return chain
@@ -646,7 +646,7 @@ def _checked(conditions: Conditions) -> Conditions:
 
 
 def _beyond(plant: PlantModel, data: IdentificationData):
-    """Yield a warning when the voltage leaves the range of the identification."""
+    """Yield a warning if the voltage leaves the range of the identification."""
     low, high = data.input_range
     margin = 0.01 * (plant.voltage_high - plant.voltage_low)
     if low < plant.voltage_low - margin or high > plant.voltage_high + margin:
@@ -657,7 +657,7 @@ def _beyond(plant: PlantModel, data: IdentificationData):
 
 
 def finite(figures: dict) -> dict:
-    """Return numbers for JSON; values that are not finite become None."""
+    """Return figures for JSON: values that are not finite become None."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()
