@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report page of a commissioning: findings and charts of every step, as data that JSON can store."""
+"""The report page of a commissioning: findings and charts of every step, given as data that JSON can store."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hysteresis_ros import __version__
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
 
-#: Largest number of points of a stored line.
+#: Largest number of points stored for a line.
 POINTS = 3000
 #: Colours of the lines, in order.
 COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
@@ -40,7 +40,7 @@ class Line:
 class Picture:
     """A figure of lines, as data."""
 
-    caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
+    caption: str  #: caption, across, up: Caption of the figure, and labels of its axes with units.
     across: str
     up: str
     lines: list[Line]
@@ -76,7 +76,7 @@ def picture_figure(picture: Picture):
 
 
 class Found(Protocol):
-    """Results of a step, as the page shows them."""
+    """Results of a step, in the form that the page needs."""
 
     lines: list[str]
     figures: dict

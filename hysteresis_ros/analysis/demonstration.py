@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Results of the demonstration: one triangle without and with the inverse of the hysteresis, and steps."""
+"""Results of the demonstration: a triangle without and with the inverse of the hysteresis, and steps."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _MISSED = "#e08e0b"
 
 
 def opening_of_stroke(run: Recording) -> float:
-    """Return the width of the loop of displacement over reference, as a fraction of the reference's stroke."""
+    """Return the width of the loop of displacement over reference, as a fraction of the stroke of the reference."""
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
     return opening / float(np.ptp(run["reference"]))
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return the results in sentences: first the method, offline, then the runs on this machine."""
+    """Return the results as sentences: first those of the method (offline), then those of the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
         f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, {inverse} with it "
@@ -47,9 +47,9 @@ def message(here, alone, skipped, live: bool) -> list[str]:
 
 
 def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording):
-    """Return the figure of displacement over reference, and of the error over reference, of both runs [µm].
+    """Return the figures of displacement over reference and of error over reference, for all runs [µm].
 
-    The figure omits the first branch, which starts at rest and belongs to no loop.
+    The first branch is omitted, because it starts at rest and belongs to no loop.
     """
     figure, (loop, error) = new_figure(4.4, 2)
     marked = False

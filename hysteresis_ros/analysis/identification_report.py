@@ -9,7 +9,7 @@
 
 """The report page of an identification or validation: measurement, prediction and residual.
 
-Of an identified stage: response matrix with bands, held-out realisation, loops, interaction, closed loops.
+For an identified stage: response matrix with bands, held-out realisation, loops, interaction, and closed loops.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from hysteresis_ros.units import bare_name, figure_name, readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
-#: Largest number of samples of a drawn loop.
+#: Largest number of samples drawn of a loop.
 LOOP_POINTS = 20000
-#: Part of the held-out realisation that is drawn in detail.
+#: Fraction of the held-out realisation that is drawn in detail.
 DETAIL = 0.05
-#: Rows of the table: name, label, unit, factor from SI.
+#: Rows of the table: name, label, unit, factor from the SI unit.
 ROWS = (
     ("rmse_m", "RMS error of the prediction", "µm", 1e6),
     ("rmse_percent_of_stroke", "RMS error", "% of stroke", 1.0),
@@ -97,14 +97,14 @@ def _write(path, title: str, found: Compared, plots, stated) -> None:
 
 
 def _own_unit(unit: str, factor: float, units: tuple[str, str]) -> tuple[str, float]:
-    """Return unit and factor of a row for a recording in ``units``: µm and V are for lengths and voltages only."""
+    """Return unit and factor of a row for a recording in ``units``; µm and V are only for lengths and voltages."""
     if unit.startswith("µm") and units[1] != "m":
         return units[1] + unit.removeprefix("µm"), 1.0
     return (units[0], 1.0) if unit == "V" else (unit, factor)
 
 
 def _output_axis(data: IdentificationData, largest: float | None = None) -> tuple[str, str, float]:
-    """Return name, unit and factor for the axis of an output; a length below ``largest`` may be drawn in nm."""
+    """Return name, unit and factor for the axis of an output; if ``largest`` is small, lengths are drawn in nm."""
     if data.output_unit != "m":
         return bare_name(data.output_name), data.output_unit, 1.0
     return ("displacement", *(("µm", 1e6) if largest is None else length_unit(largest)))
@@ -159,7 +159,7 @@ def residual_figure(data: IdentificationData, found: Validation):
 
 
 def loops_figure(data: IdentificationData, predicted, found: Validation):
-    """Return the figure of the loops, and of the residual, over the voltage [µm, V]."""
+    """Return the figures of the loops and of the residual over the voltage [µm, V]."""
     figure, (loops, left) = new_figure(4.2, 2)
     first, stride = found.skipped, max(1, found.samples // LOOP_POINTS)
     u = data.input[first::stride]
@@ -177,7 +177,7 @@ def loops_figure(data: IdentificationData, predicted, found: Validation):
 
 
 def correlations_figure(found: Validation):
-    """Return the figure of autocorrelation and input cross-correlation over the lag [samples] with their bounds."""
+    """Return the figure of autocorrelation and input cross-correlation, with their bounds, over the lag [samples]."""
     tests = [("autocorrelation", found.autocorrelation)]
     if found.cross_correlation is not None:
         tests.append(("input → residual", found.cross_correlation))
@@ -197,7 +197,7 @@ def _correlation(axis, title: str, test: CorrelationTest) -> None:
 
 
 def inverse_figure(data: IdentificationData, inverse: InverseValidation):
-    """Return the figure of the error of the recovered input over time [mV or the input's unit, s]."""
+    """Return the figure of the error of the input recovered by the inverse over time [mV or the input's unit, s]."""
     figure, (axis,) = new_figure(2.6)
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     time = data.time[data.time.size - inverse.error.size :]
@@ -208,7 +208,7 @@ def inverse_figure(data: IdentificationData, inverse: InverseValidation):
 
 
 def trajectory_figure(names, values):
-    """Return the figure of the parameters over the iterations, each divided by its final value."""
+    """Return the figure of the parameters over the iterations; each is divided by its final value."""
     figure, (axis,) = new_figure(3.0)
     values = np.asarray(values)
     for name, column in zip(names, values.T, strict=True):
@@ -220,7 +220,7 @@ def trajectory_figure(names, values):
 
 
 class Held(Protocol):
-    """A realisation that was held out, and its prediction."""
+    """A held-out realisation and its prediction."""
 
     time: np.ndarray
     measured: np.ndarray
@@ -228,7 +228,7 @@ class Held(Protocol):
 
 
 class ShownStage(Protocol):
-    """The data of an identified stage that the page shows."""
+    """The data of an identified stage that the page needs."""
 
     responses: tuple[ResponseMatrix, ...]
     structure: np.ndarray
@@ -239,7 +239,7 @@ class ShownStage(Protocol):
 
     @property
     def held_out(self) -> Held | None:
-        """What was held out."""
+        """The held-out realisation; None if there is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +260,7 @@ def write_stage_identification_report(
 ) -> None:
     """Write the page of an identified stage as one self-contained HTML file.
 
-    ``interaction`` has the rows of the table of relative gains, singular values, coupling and margins.
+    ``interaction`` contains the rows of the table of relative gains, singular values, coupling and margins.
     """
     figures = found.figures
     tables = [
@@ -348,7 +348,7 @@ def _stage_plots(names: Sequence[str], found: ShownStage, closed: ClosedLoops | 
 
 
 def held_out_figure(held: Held, output: int):
-    """Return the figure of a detail of the held-out realisation, and of the whole residual."""
+    """Return the figure of a part of the held-out realisation in detail, and of the residual of all of it."""
     figure, (detail, residual) = new_figure(3.2, 2)
     count = max(int(DETAIL * len(held.time)), 2)
     measured, predicted = held.measured[:, output], held.predicted[:, output]
@@ -366,7 +366,7 @@ def held_out_figure(held: Held, output: int):
 
 
 def closed_figure(names: Sequence[str], closed: ClosedLoops):
-    """Return the figure of the closed loops: each axis, and what its reference moves of the others."""
+    """Return the figure of the closed loops: how the reference of each axis moves this axis and the others."""
     figure, (axis,) = new_figure(4.0)
     for j, reference in enumerate(names):
         for i, name in enumerate(names):

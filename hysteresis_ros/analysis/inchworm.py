@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of merit of an inchworm motor's run: moves, steps, and the clamping forces. SI units."""
+"""Figures of merit of an inchworm motor's run in SI units: moves, steps, and clamping forces."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ REQUIRED = (
     *("phase", "steps", "total_steps", "step_commanded", "step_achieved", "slip", "arrived", "missed"),
     *("front_voltage", "rear_voltage"),
 )
-#: Signals that only an inchworm's run has.
+#: Signals that only the run of an inchworm motor has.
 DISTINCTIVE = ("phase", "total_steps", "step_achieved", "front_voltage", "rear_voltage")
 
-#: Default tolerance [m]: a run that begins this close to its first setpoint begins at rest.
+#: Default tolerance [m]: a run counts as beginning at rest if its start is this close to the first setpoint.
 TOLERANCE = 10.0e-9
 
 
@@ -40,13 +40,14 @@ TOLERANCE = 10.0e-9
 class Steps:
     """The steps of a run, in order."""
 
-    index: np.ndarray  #: shape (S,); Sample at which each step was evaluated.
+    index: np.ndarray  #: shape (S,); Sample at which the sequencer evaluated each step.
     time: np.ndarray  #: shape (S,); Time of that sample [s].
     direction: np.ndarray  #: shape (S,); +1 forward, -1 backward.
-    #: commanded, achieved: shape (S,); Lengths [m], negative backward; ``achieved`` by the measured slider.
+    #: commanded, achieved: shape (S,); Step lengths [m], negative backward; ``achieved`` is that of the measured
+    #: slider.
     commanded: np.ndarray
     achieved: np.ndarray
-    slip: np.ndarray  #: shape (S,); Extension minus the movement of the slider in its direction [m].
+    slip: np.ndarray  #: shape (S,); Extension minus the slider's movement in the step's direction [m].
     missed: np.ndarray  #: shape (S,); Whether the sequencer counted the step as missed.
 
     @property
@@ -55,26 +56,26 @@ class Steps:
         return self.slip + self.direction * self.achieved
 
     def between(self, first: int, last: int) -> Steps:
-        """Return the steps that were evaluated in samples ``first`` ≤ k < ``last``."""
+        """Return the steps that were evaluated at the samples ``first`` ≤ k < ``last``."""
         chosen = (self.index >= first) & (self.index < last)
         return Steps(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
 class Move:
-    """Part of a run with one request."""
+    """Part of a run that belongs to one request."""
 
     first: int  #: first, last: Samples ``first`` ≤ k < ``last``.
     last: int
     kind: str  #: ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
-    goal: float | None  #: Requested position [m]; None when the request names no position.
-    #: Sample from which the sequencer reports arrival until the end of the move; None without arrival.
+    goal: float | None  #: Requested position [m]; None if the request states no position.
+    #: Sample from which on the sequencer reports arrival until the end of the move; None if it does not arrive.
     arrival: int | None
 
 
 @dataclass(frozen=True)
 class InchwormRun:
-    """The run of an inchworm motor, prepared for evaluation: samples that lack a signal are omitted."""
+    """The run of an inchworm motor, prepared for evaluation: samples with a missing signal are omitted."""
 
     #: time, setpoint, slider: shape (N,) [s], [m], and the displacement of the slider [m]: the true one, or the
     #: measured one when the true one is unknown.
@@ -85,12 +86,12 @@ class InchwormRun:
     steps: Steps
     moves: tuple
     gait: GaitParameters | None  #: Gait of the configuration.
-    tolerance: float  #: Distance at which the motor has arrived [m].
+    tolerance: float  #: Distance from the setpoint at which the motor has arrived [m].
     notes: tuple  #: Notes for the reader.
 
 
 def is_inchworm(recording: Recording) -> bool:
-    """Return whether a recording is of an inchworm motor, by its signals or by its configuration."""
+    """Return whether a recording is of an inchworm motor, according to its signals or its configuration."""
     if any(recording.has(name) for name in DISTINCTIVE):
         return True
     return _described(recording)
@@ -123,7 +124,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
 
 
 def find_steps(time, signals) -> Steps:
-    """Return the steps of a run: the samples at which ``total_steps`` grows, and the sequencer's signals there."""
+    """Return the steps of a run, from the samples at which ``total_steps`` grows and the sequencer's signals there."""
     index = np.flatnonzero(np.diff(signals["total_steps"]) > 0.0) + 1
     return Steps(
         index,
@@ -137,9 +138,9 @@ def find_steps(time, signals) -> Steps:
 
 
 def find_moves(signals, slider, tolerance: float, home: float | None = None) -> tuple[Move, ...]:
-    """Return the moves of a run; a move lasts from a new setpoint, request or speed to the next.
+    """Return the moves of a run; each move lasts from a new setpoint, request or speed to the next one.
 
-    The beginning of a run, before the first request, is a move unless the slider is already at the setpoint.
+    The part of a run before the first request is a move, unless the slider is already at the setpoint.
 
     Units: ``slider`` [m], ``tolerance`` [m], ``home`` [m].
     """
@@ -157,7 +158,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
         if first and setpoint[first] != setpoint[first - 1]:
             goal = float(setpoint[first])
         elif first and speed[first] == 0.0 and speed[first - 1] != 0.0:
-            goal = None  # the slider stays where it is
+            goal = None  # the slider stays at its position
         if asked == at.HOME_REQUEST:
             goal = float(setpoint[first]) if home is None else home
         if asked:
@@ -180,12 +181,12 @@ def _arrival(arrived, first: int, last: int) -> int | None:
 
 
 def _described(recording: Recording) -> bool:
-    """Return whether the configuration has a section of the sequencer itself, not only values for every node."""
+    """Return whether the configuration has a section for the sequencer itself, not only values for all nodes."""
     return described(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
 
 
 def _parameters(recording: Recording):
-    """Return the sequencer's parameters; None when the recording does not contain them."""
+    """Return the sequencer's parameters; None if the recording does not contain them."""
     if not _described(recording):
         return None
     values = configured(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
@@ -197,10 +198,10 @@ def _parameters(recording: Recording):
         return None
 
 
-#: A full step extends by at least this fraction of the move's median extension.
+#: A step is a full step if it extends by at least this fraction of the median extension in its move.
 FULL_PART = 0.95
 
-#: Figures of a move: name, label, displayed unit, factor from SI.
+#: Figures of a move: name, label, displayed unit, factor from the SI unit.
 MOVE_FIGURES = (
     ("start_s", "given at", "s", 1.0),
     ("setpoint_m", "setpoint", "mm", 1e3),
@@ -218,7 +219,7 @@ MOVE_FIGURES = (
     ("slip_m", "slip", "µm", 1e6),
     ("slip_percent", "slip", "%", 1.0),
 )
-#: Figures of the whole run, as :data:`MOVE_FIGURES`.
+#: Figures of the whole run, in the form of :data:`MOVE_FIGURES`.
 RUN_FIGURES = (
     ("steps", "Steps", "", 1.0),
     ("steps_forward", "Steps forward", "", 1.0),
@@ -235,7 +236,7 @@ RUN_FIGURES = (
     ("stroke_m", "Stroke of the gait", "µm", 1e6),
     ("period_s", "Period of the gait", "ms", 1e3),
 )
-#: General figures that also apply to an inchworm motor.
+#: Figures of any axis that also apply to an inchworm motor.
 COMMON = (
     *("chattering_m", "chattering_m_s", "command_reversals_hz", "voltage_rate_v_s", "voltage_variation_v"),
     *("samples", "missing_samples", "duration_s", "sample_rate_hz", "rate_hz", "jitter_p99_s"),
@@ -247,8 +248,8 @@ COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
 def inchworm_figures(recording: Recording) -> dict:
     """Return the figures of merit of an inchworm motor's run.
 
-    A *move* lasts from a new setpoint (request, speed) to the next; q is the slider's true displacement, or the
-    measured one if the recording's notes say so.
+    A *move* lasts from a new setpoint (request, speed) to the next one. q is the slider's true displacement, or the
+    measured displacement if the notes of the recording say so.
 
     ============================== ===================================================================================
     ``start_s``, ``setpoint_m``    time of the request and requested position (None: no position)
@@ -268,11 +269,11 @@ def inchworm_figures(recording: Recording) -> dict:
     ``slip_m``, ``slip_percent``   Σ (extension - movement of the slider along it) of its steps; in % of Σ extension
     ============================== ===================================================================================
 
-    Of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m`` (commanded
-    minus achieved length along the step), ``clamp_voltage_v`` (minimum of the higher of the two clamp voltages, which
-    is never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and ``gait_speed_m_s``,
-    ``stroke_m``, ``period_s`` of the configuration. The other figures are those of
-    :func:`hysteresis_ros.analysis.metrics.compute_metrics`; its ``reference`` is the extender's.
+    Figures of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m``
+    (commanded minus achieved length along the step), ``clamp_voltage_v`` (minimum of the higher of the two clamp
+    voltages; it is never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and
+    ``gait_speed_m_s``, ``stroke_m``, ``period_s`` of the configuration. The other figures are those of
+    :func:`hysteresis_ros.analysis.metrics.compute_metrics`; their ``reference`` is that of the extender.
     """
     return figures_of(inchworm_run(recording), recording)
 
@@ -394,7 +395,7 @@ def _run_figures(run: InchwormRun) -> dict:
 
 
 def _plain(value):
-    """Return the value with numbers that JSON cannot represent replaced by None."""
+    """Return the value; replace numbers that JSON cannot represent by None."""
     if isinstance(value, dict):
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, list):

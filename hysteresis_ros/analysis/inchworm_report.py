@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of an inchworm motor's run with its plots: travel in mm, gait in µm, V and N, arrival in nm."""
+"""The report of an inchworm motor's run with its plots: travel [mm], gait [µm, V, N], arrival [nm]."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from hysteresis_ros.analysis.tables import format_value, shown_row
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
-#: Number of steps shown individually.
+#: Number of steps that are shown individually.
 SHOWN_STEPS = 3
-#: Largest number of moves whose arrival is shown, beginning with the first.
+#: Largest number of moves whose arrival is shown; the first moves are shown.
 SHOWN_MOVES = 40
-#: Time shown before and after the arrival [s].
+#: Times before and after the arrival that are shown [s].
 BEFORE, AFTER = 0.1, 0.15
 #: Number of bars of a histogram.
 BARS = 60
 
-#: Colours of the phases; both clamps closed is white.
+#: Colours of the phases; the phase with both clamps closed is white.
 PHASE_COLOURS = {
     at.RELEASING_REAR: "#fbe3b4",
     at.CARRYING: "#a9d6a4",
@@ -50,14 +50,14 @@ PHASE_COLOURS = {
     at.STOPPING: "#f7b5b0",
     at.STARTING: "#efefef",
 }
-#: Activity of each phase and its colour, for plots that cannot show single steps.
+#: Activity and colour of each phase, for plots that cannot show single steps.
 ACTIVITIES = {
     "walking": ("#cfdff2", range(at.RELEASING_REAR, at.GRIPPING_FRONT + 1)),
     "fine positioning": ("#cdebc8", (at.POSITIONING,)),
     "stopping": ("#f7b5b0", (at.STOPPING,)),
     "released": ("#dddddd", (at.RELEASED,)),
 }
-#: Holds shorter than this [s] between the steps of a walk belong to the walk.
+#: Holds between the steps of a walk that are shorter than this [s] belong to the walk.
 PAUSE = 0.05
 
 _SETPOINT, _SLIDER, _EXTENDER, _REFERENCE = "#444444", "#d1495b", "#1f6f8b", "#9a9a9a"
@@ -66,7 +66,7 @@ _WAYS = ((1.0, "forward", "#1f6f8b"), (-1.0, "backward", "#d1495b"))
 
 
 def travel_figure(run: InchwormRun):
-    """Return the figure of setpoint and slider over time, with the motor's activity as bands [mm, s]."""
+    """Return the figure of setpoint and slider over time [mm, s], with the motor's activities as bands."""
     figure, (axis,) = new_figure(3.6)
     draw_activities(axis, run)
     time, values = envelope(run.time, run.setpoint * 1e3)
@@ -108,7 +108,7 @@ def gait_figure(run: InchwormRun):
 
 
 def arrival_figure(run: InchwormRun):
-    """Return the figure of the last micrometres and the last nanometres of each move [µm, nm, ms]."""
+    """Return the figure of the end of each move: the last micrometres and the last nanometres [µm, nm, ms]."""
     figure, (coarse, fine) = new_figure(4.0, 2)
     moves = [move for move in run.moves if move.arrival is not None][:SHOWN_MOVES]
     thin = 1.3 if len(moves) < 6 else 0.7
@@ -137,7 +137,7 @@ def arrival_figure(run: InchwormRun):
 
 
 def final_error_figure(run: InchwormRun):
-    """Return the figure of slider - setpoint from the arrival to the end of each move, one after the other [nm, s]."""
+    """Return the figure of slider - setpoint from arrival to end, for one move after the other [nm, s]."""
     figure, (axis,) = new_figure(2.8)
     limit = run.tolerance * 1e9
     for move in run.moves:
@@ -153,7 +153,7 @@ def final_error_figure(run: InchwormRun):
 
 
 def step_length_figure(run: InchwormRun):
-    """Return the histograms of step lengths, commanded and achieved [µm], and of their difference [nm]."""
+    """Return histograms of commanded and achieved step lengths [µm], and of their difference [nm]."""
     figure, (lengths, errors) = new_figure(4.0, 2)
     steps = run.steps
     if steps.index.size:
@@ -166,7 +166,7 @@ def step_length_figure(run: InchwormRun):
                 style = dict(histtype="step", color=colour, linewidth=1.6, label=f"achieved, {label}")
                 lengths.hist(chosen, edges, **style)
         difference = steps.direction * (steps.commanded - steps.achieved) * 1e9
-        # with outliers (missed grips, the first step) all other steps would fall into one bar
+        # otherwise outliers (missed grips, the first step) would put all other steps into one bar
         middle = np.median(difference)
         spread = max(float(np.median(np.abs(difference - middle))), 1e-3)
         low, high = _span(np.clip(difference, middle - 6.0 * spread, middle + 6.0 * spread))
@@ -189,7 +189,7 @@ def step_length_figure(run: InchwormRun):
 
 
 def slip_figure(run: InchwormRun):
-    """Return the figure of slip, missed grips, and commanded − achieved length over the steps [nm, steps]."""
+    """Return the figure of slip, missed grips, and commanded − achieved length over the number of the step [nm]."""
     figure, (slip, lack) = new_figure(4.8, rows=2)
     steps = run.steps
     number = np.arange(1, steps.index.size + 1)
@@ -212,12 +212,12 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
-#: Interactive charts whose static picture shows more than the chart: name, caption and picture.
+#: Interactive charts for which the page without scripts has a picture that shows more: name, caption, picture.
 IN_THE_PLACE = (
     ("travel", "Position over time", travel_figure),
     ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),
 )
-#: Plots of the page: caption, and function that draws an :class:`InchwormRun`.
+#: Plots of the page: caption, and the function that draws the plot of an :class:`InchwormRun`.
 INCHWORM_PLOTS = (
     (f"{SHOWN_STEPS} steps: positions, voltages and clamp forces", gait_figure),
     ("Arrival: the last micrometres and the last nanometres", arrival_figure),
@@ -252,7 +252,7 @@ def inchworm_charts(run: InchwormRun) -> list[Chart]:
 
 
 def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
-    """Return the samples of ``count`` steps in the middle of the move with the most steps, or of the whole run."""
+    """Return the samples of ``count`` steps in the middle of the move with most steps, or of a run without moves."""
     parts = [run.steps.between(move.first, move.last).index for move in run.moves] or [run.steps.index]
     index = max(parts, key=len)
     if len(index) < 2:
@@ -264,7 +264,7 @@ def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
 
 
 def draw_steps(axis, run: InchwormRun, shown: slice) -> None:
-    """Draw slider and extender of the samples ``shown`` as displacements from their first values [µm, ms]."""
+    """Draw slider and extender at the samples ``shown``, relative to their first values [µm, ms]."""
     time = _milliseconds(run, shown)
     slider = run.slider[shown]
     axis.plot(time, (slider - slider[0]) * 1e6, color=_SLIDER, linewidth=1.8, label="slider", zorder=4)
@@ -277,7 +277,7 @@ def draw_steps(axis, run: InchwormRun, shown: slice) -> None:
 
 
 def draw_phases(axis, run: InchwormRun, shown: slice, labels: bool = True) -> None:
-    """Draw the phases of the samples ``shown`` as bands, with a legend above the axis [ms]."""
+    """Draw the phases at the samples ``shown`` as bands, with a legend above the axis [ms]."""
     phase, time = run.signals["phase"][shown], _milliseconds(run, shown)
     bands = {}
     for first, last, code in _stretches(phase):
@@ -311,7 +311,7 @@ def draw_activities(axis, run: InchwormRun) -> None:
 
 
 def _stretches(codes) -> list[tuple[int, int, int]]:
-    """Return (first, last, code) of each interval ``first`` ≤ k < ``last`` with a constant code."""
+    """Return (first, last, code) for each interval ``first`` ≤ k < ``last`` with constant code."""
     cuts = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), len(codes)]
     return [(first, last, int(codes[first])) for first, last in zip(cuts, cuts[1:], strict=False) if last > first]
 
@@ -321,7 +321,7 @@ def _milliseconds(run: InchwormRun, shown: slice):
 
 
 def _span(values) -> tuple[float, float]:
-    """Return a non-empty range around ``values``."""
+    """Return a range around ``values`` that is not empty."""
     low, high = float(np.min(values)), float(np.max(values))
     room = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room

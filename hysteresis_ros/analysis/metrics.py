@@ -7,9 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of merit of a run. Each is defined in :func:`compute_metrics`; SI units.
+"""Figures of merit of a run in SI units; :func:`compute_metrics` defines each figure.
 
-The configuration in the recording decides which reference and limits apply (:class:`AxisSettings`).
+The configuration in the recording states the reference and the limits with which they are computed
+(:class:`AxisSettings`).
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ class AxisSettings:
     #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has none [V].
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
-    offset: float = 0.0  #: Preload offset W of the controller's model, which is not part of the reference [m].
+    offset: float = 0.0  #: Preload offset W of the controller's model [m]; the reference does not contain it.
     preview: int = (
         0  #: Number of samples by which the recorded reference is ahead of the one that the controller follows.
     )
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
-    """Return the settings of the recording's configuration; missing ones are None or 0."""
+    """Return the settings in the recording's configuration; settings that it lacks are None or 0."""
     text, namespace = recording.configuration, str(recording.metadata.get("namespace", ""))
     limits = {
         **_group(configured(text, "plant_simulator", namespace), "limits."),
@@ -72,15 +73,16 @@ def axis_settings(recording: Recording) -> AxisSettings:
 
 
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
-    """Return the reference that the displacement is compared with, shape (N,) [m].
+    """Return the reference with which the displacement is compared, shape (N,) [m].
 
-    With a preview of P samples it is the recorded reference, delayed by P samples. Before the recording the reference
-    is assumed to equal its first value. It is NaN when the sample P samples earlier is missing or outside an excerpt.
+    With a preview of P samples, it is the recorded reference delayed by P samples. Before the recording, the reference
+    is assumed to equal its first value. A value is NaN if the sample P samples earlier is missing, or is outside an
+    excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
         return reference
-    # by time and not by index, because samples may be missing
+    # shifted by time and not by index, because samples may be missing
     numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
     places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
     found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
@@ -89,7 +91,7 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
 
 
 def delayed(reference, preview: int) -> np.ndarray:
-    """Return the reference to follow at each sample when the received one is ``preview`` samples ahead.
+    """Return the reference to follow at each sample if the received reference is ``preview`` samples ahead.
 
     Units: ``reference`` [m].
     """
@@ -117,13 +119,13 @@ def _number(value) -> float | None:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-#: Figures computed from command and voltage alone.
+#: Figures that are computed from command and voltage alone.
 SMOOTHNESS = {
     "command": ("chattering_m", "chattering_m_s", "command_reversals_hz"),
     "voltage": ("voltage_rate_v_s", "voltage_variation_v"),
 }
 
-#: Figures of a fused run in real time, as :data:`FIGURES`.
+#: Figures of a fused run in real time, in the form of :data:`FIGURES`.
 TIMELINESS = (
     ("lateness_p50_s", "Lateness of a sample, p50", "µs", 1e6),
     ("lateness_p99_s", "Lateness of a sample, p99", "µs", 1e6),
@@ -132,7 +134,7 @@ TIMELINESS = (
     ("skipped_samples", "Skipped samples", "", 1.0),
 )
 
-#: All figures in the order of the tables: name, label, displayed unit, factor from SI.
+#: All figures in the order of the tables: name, label, displayed unit, factor from the SI unit.
 FIGURES = (
     ("rms_error_m", "RMS error", "µm", 1e6),
     ("rms_error_percent_of_stroke", "RMS error", "% of stroke", 1.0),
@@ -167,10 +169,11 @@ FIGURES = (
 
 
 def axes_figures(recording: Recording) -> dict[str, dict]:
-    """Return the figures of merit of each axis of a stage, by its name.
+    """Return the figures of merit of each axis of a stage, by the name of the axis.
 
-    All axes are evaluated from the instant at which the last of them begins its scan
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis at rest is evaluated while the others scan.
+    All axes are evaluated from the time at which the last of them begins its scan
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis that holds its position is evaluated while the
+    others scan.
     """
     axes = {name: recording.axis(name) for name in recording.axes}
     starts = [scan_start(judged_reference(one), one["displacement"]) for one in axes.values()]
@@ -182,10 +185,10 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     """Return the figures of merit of a run.
 
     The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
-    controller's model; on hardware it is the measured one, and the recording's notes say so. With
-    ``feedforward.preview`` every figure uses the reference delayed by that many samples. Samples without reference or
-    displacement do not count. If a scan begins with a jump, errors count from its first reversal
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, of which all samples count. Errors, steps,
+    controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
+    With ``feedforward.preview`` every figure uses the reference delayed by that many samples. Samples without reference
+    or displacement do not count. If a scan begins with a jump, errors count from its first reversal on
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors, steps,
     loops and the residual omit the samples in which the axis is stopped
     (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
     the displacement.
@@ -296,7 +299,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     return {"parts": each, **figures}
 
 
-#: Figures that omit a shutdown.
+#: Figures that do not include a shutdown.
 _JUDGED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("overshoot_percent", "settling_time_s", "steady_state_error_m", "residual_m"),
@@ -326,7 +329,7 @@ def _residual_figure(run: _Tracked, stroke: float, notes: dict) -> dict[str, flo
 
 
 def actual_name(recording: Recording) -> str:
-    """Return the signal to evaluate: the true displacement, or the measured one when the true one is unknown."""
+    """Return the name of the signal to evaluate: the true displacement or, if it is unknown, the measured one."""
     if recording.has("displacement"):
         return "displacement"
     if recording.has("measured"):
@@ -336,7 +339,7 @@ def actual_name(recording: Recording) -> str:
 
 
 def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
-    """Return the figures of a run without a reference, such as a run for an identification."""
+    """Return the figures of a run without a reference, for example of a run for an identification."""
     figures: dict = {name: None for name, *_ in FIGURES}
     notes["recording"] = [*notes["recording"], "no reference in the recording: the error is unknown"]
     for name in figures:
@@ -376,11 +379,11 @@ def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dic
 
 
 def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, notes: dict) -> dict:
-    """Return the errors without the spans after skipped samples, and the share [%] of these spans."""
+    """Return the errors outside the spans after skipped samples, and the fraction [%] of samples in these spans."""
     if not recording.has("skipped"):
         return {}
     error, place = run.reference - run.displacement, np.flatnonzero(good)[judged]
-    whole = np.full(len(recording), np.nan)  # a skipped sample of a device has no measurement, hence no error
+    whole = np.full(len(recording), np.nan)  # a skipped sample of a device has no measurement, and therefore no error
     whole[place] = error
     span = disturbed(np.nan_to_num(recording["skipped"]) > 0.0, whole)[place]
     share = 100.0 * float(np.mean(span))
@@ -393,7 +396,7 @@ def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, note
 
 
 def error_figures(error, stroke: float) -> dict[str, float]:
-    """Return rms and largest error as :func:`compute_metrics` defines them; without a stroke no percentages.
+    """Return rms and largest error as :func:`compute_metrics` defines them; no percentages without a stroke.
 
     Units: ``error`` [m], ``stroke`` [m].
     """
@@ -415,7 +418,7 @@ def absolute_integral(time, error) -> float:
 
 
 def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
-    """Return the worst figures of all steps."""
+    """Return for each figure its worst value over all steps."""
     inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
     each = [step_figures(*run.at(part)) for part in inside]
     each = [figures for figures in each if figures["steps"]]
@@ -453,7 +456,7 @@ def _signals(recording, good):
 
 
 def chattering_figures(time, reference, command, voltage, notes: dict | None = None) -> dict:
-    """Return chattering of the command and effort of the voltage as :func:`compute_metrics` defines them.
+    """Return chattering of the command and variation of the voltage as :func:`compute_metrics` defines them.
 
     Units: ``time`` [s], ``reference`` [m], ``command`` [m], ``voltage`` [V].
     """
@@ -504,7 +507,7 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
 
 
 def sampling_figures(recording: Recording, notes: dict) -> dict:
-    """Return samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
+    """Return number of samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
     figures: dict = {
         "samples": len(recording),
         "missing_samples": int(recording.metadata.get("missing_samples", 0)),
@@ -525,7 +528,7 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
     late = recording["lateness"] if recording.has("lateness") else np.zeros(0)
     late = late[np.isfinite(late)]
     if late.size or "lateness_max_s" in timing:
-        # the metadata contain these figures for the whole run only, not for a part of it
+        # the metadata contain these figures only for the whole run, not for parts of it
         figures |= {
             name: float(np.percentile(late, part)) if late.size else timing[name] for name, part in LATENESS.items()
         }
@@ -540,12 +543,12 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: Shortest saturation that is reported: total time [s], or fraction of the run.
+#: Shortest total time of limited output that is reported [s], or its smallest fraction of the run.
 MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return the duration and the causes of output limits; empty for less than :data:`MOMENT`."""
+    """Return for how long the output was limited, and why; empty for less than :data:`MOMENT`."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The HTML of a run, a model or a design in a notebook: a small table, and a plot if Matplotlib is installed."""
+"""HTML of a run, a model or a design for a notebook: a small table and, if Matplotlib is installed, a plot."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hysteresis_ros.identification.workflow import Compared
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import figure_name, readable
 
-#: Rows of a run: figure, label, unit.
+#: Rows of the table of a run: figure, label, unit.
 RUN_ROWS = (
     ("rms_error_m", "RMS error", "m"),
     ("max_error_m", "largest error", "m"),
@@ -40,7 +40,7 @@ MODEL_ROWS = (
     ("fit_percent", "fit", "%"),
     ("inverse_rmse_v", "RMS error of the inverse", "V"),
 )
-#: Largest number of warnings in one cell.
+#: Largest number of warnings shown in one cell.
 MOST_WARNINGS = 3
 
 
@@ -49,7 +49,7 @@ def run_cell(run: Recording) -> str:
     rows = [("samples", f"{len(run)}, every {readable(run.sample_time, 's')}")]
     try:
         judged_rows = _rows(report_of(run).figures(run), RUN_ROWS)
-    except HysteresisError:  # the signals are not those of a run of an axis
+    except HysteresisError:  # the signals are not those that a run of an axis has
         judged_rows = []
     rows += judged_rows or [("signals", ", ".join(f"{name} [{unit}]" for name, unit in run.units.items()))]
     return _cell("Run", rows, (), lambda: chart_figure(traces_chart(judged(run))))
@@ -79,7 +79,7 @@ def design_cell(title: str, margins: Margins, warnings: Iterable[str]) -> str:
 
 
 def _rows(figures: dict, declared: tuple[tuple[str, str, str], ...]) -> list[tuple[str, str]]:
-    """Return the rows of the figures that have a value."""
+    """Return the table rows of those figures that have a value."""
     return [(label, readable(figures[name], unit)) for name, label, unit in declared if figures.get(name) is not None]
 
 

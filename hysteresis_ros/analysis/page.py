@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Report pages: self-contained HTML files, with the data that their scripts draw."""
+"""Report pages: self-contained HTML files, including the data that their scripts draw."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PAGES = (".html", ".htm")
 
 
 def render_page(template: str, **values) -> str:
-    """Return the page of a template of this package, filled with ``values``."""
+    """Return the page made from a template of this package with ``values``."""
     try:
         import jinja2
     except ImportError:
@@ -39,19 +39,19 @@ def render_page(template: str, **values) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    # not imported: the package imports this module
+    # not imported, because the package itself imports this module
     version = sys.modules[__name__.partition(".")[0]].__version__
     made = f"hysteresis_ros {version}, {_date(time.time())}"
     return environment.get_template(template).render(made=made, colours=COLOURS, **values)
 
 
 def asset(name: str) -> str:
-    """Return the text of a file that pages embed."""
+    """Return the text of an asset file that pages embed."""
     return (resources.files("hysteresis_ros.analysis") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _date(seconds: float) -> str:
-    """Return a time of the clock as text."""
+    """Return a Unix time as text."""
     return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(seconds))
 
 
@@ -67,7 +67,7 @@ def origin(recording: Recording) -> str:
 
 
 def require_page(path) -> None:
-    """Raise RecordingError when the suffix is not that of an HTML page, or the folder does not exist."""
+    """Raise RecordingError if the suffix is not that of an HTML page, or if the folder does not exist."""
     suffix = pathlib.Path(path).suffix
     if suffix.lower() not in PAGES:
         raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")
@@ -81,19 +81,22 @@ def write_page(path, html: str) -> None:
     write_text(path, html, RecordingError)
 
 
-#: Largest number of points of the shared time axis, and of any other line.
+#: Largest number of points of the common time axis, and of any other line.
 TIME_POINTS, LINE_POINTS = 12000, 4000
 
 
 def packed(values, kind: str = "<f4") -> str:
-    """Return an array as text, base64 of little-endian floats."""
+    """Return an array as text: its little-endian floats in base64."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
 def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
-    """Return charts for the page: charts over time share one thinned time axis, every other line has its own x."""
+    """Return charts as data for the page.
+
+    Charts over time share one thinned time axis; every other line has its own x.
+    """
     over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
-    # float32 (7 digits) is enough for a drawn value, but not for a time far from 0
+    # float32 (7 digits) suffices for a drawn value, but not for a time far from 0
     time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
     kept = iter(columns)
     return {

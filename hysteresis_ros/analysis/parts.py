@@ -9,9 +9,10 @@
 
 """Parts of a run (steps and holds, approach, scan, path, shutdown), the figures that apply to each, and excerpts.
 
-In a scan the reference equals itself one period later; this is checked, not assumed from two reversals. Steps lead from
-one hold to another. A single move into a scan is its approach; any other motion is a path. While the axis is stopped,
-its voltage goes to the safe value and it does not follow the reference, so a shutdown has no figures.
+In a scan the reference equals itself one period later; this is checked for all samples, not inferred from two
+reversals. Steps lead from one hold to another. A single move into a scan is the approach to this scan; any other motion
+is a path. While the axis is stopped, its voltage goes to the safe value and the axis does not follow the reference, so
+a shutdown has no figures.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
 from hysteresis_ros.units import quantity
 
-#: Least number of samples of constant reference that count as a hold.
+#: Smallest number of consecutive samples with constant reference that count as a hold.
 HOLD_SAMPLES = 10
 #: Fraction of a hold, at its end, over which the final value is averaged.
 FINAL_PART = 0.1
-#: An axis has left its hold when its error exceeds this fraction of the stroke.
+#: An axis counts as having left its hold if its error exceeds this fraction of the stroke.
 LEFT = 0.1
-#: The reference jumps when its movement per sample changes by more than this fraction of its stroke.
+#: The reference jumps if its movement per sample changes by more than this fraction of the stroke of the reference.
 JUMP = 0.01
-#: A reversal of a scan is at least this fraction of its stroke.
+#: The reference of a scan reverses if it then moves back by at least this fraction of its stroke.
 REVERSAL = 0.1
 #: Half width of the band of the settling time, as a fraction of the step.
 SETTLING_BAND = 0.02
@@ -63,10 +64,10 @@ class StepResponse:
     start: float  #: Time at which the reference began to move [s].
     size: float  #: Height of the step in the reference, signed [m].
     final: float  #: Value finally reached: mean displacement over the last tenth of the hold [m].
-    #: Overshoot beyond ``final`` in the direction of the step, as a fraction of ``|size|``; at least 0.
+    #: Overshoot beyond ``final`` in the direction of the step, as a fraction of the step's ``|size|``; at least 0.
     overshoot: float
-    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None if it has not
-    #: settled before the last tenth of the hold.
+    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None if the
+    #: displacement has not settled before the last tenth of the hold.
     settling_time: float | None
     steady_state_error: float  #: ``reference - final`` [m].
 
@@ -85,11 +86,11 @@ def find_holds(reference) -> list[Hold]:
 
 
 def scan_start(reference, displacement) -> int:
-    """Return the sample from which the errors of a scan count: the first reversal after a jump into it, otherwise 0.
+    """Return the sample from which errors of a scan count: the first reversal if the scan begins with a jump, else 0.
 
     A scan may begin away from the position at which the axis rests; the error of this first motion says nothing about
-    the tracking of the scan. It counts as a jump when its error is larger than any after the first reversal. In steps
-    from hold to hold all samples count.
+    the tracking of the scan. The first motion counts as a jump if its error is larger than all errors after the first
+    reversal. If the reference consists of steps from hold to hold, all samples count.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -106,7 +107,7 @@ def scan_start(reference, displacement) -> int:
 def step_responses(time, reference, displacement) -> list[StepResponse]:
     """Return the responses to all steps from one hold of the reference to the next at another level.
 
-    A step may be a jump or a limited move; its time counts from the last sample of the hold before.
+    A step may be a jump or a limited move; its time counts from the last sample of the hold before the step.
 
     Units: ``time`` [s], ``reference`` [m], ``displacement`` [m].
     """
@@ -139,13 +140,13 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
     return responses
 
 
-#: A reference repeats when it differs from itself one period later by at most this fraction of its range. The
-#: difference may be larger for at most this number of samples in a row. The comparison must cover at least this
-#: fraction of a period in addition to the first period.
+#: A reference repeats if it differs from itself one period later by at most the fraction EQUAL of its range, except in
+#: at most JITTER consecutive samples. The comparison must cover at least the fraction EVIDENCE of a period in addition
+#: to the first period.
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
 #: Largest number of reversals in a period.
 REVERSALS = 40
-#: Modes of nodes in which the axis is stopped.
+#: Signals with the modes of nodes in which the axis may be stopped.
 MODES = ("plant_mode", "compensator_mode", "controller_mode")
 
 
@@ -160,7 +161,7 @@ class Kind(enum.StrEnum):
     SHUTDOWN = "shutdown"
 
 
-#: Figures of each kind, in order; they are defined in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
+#: Figures of each kind of part, in order; they are defined in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
 JUDGED_BY = {
     Kind.APPROACH: (),
     Kind.STEPS: ("overshoot_percent", "settling_time_s", "steady_state_error_m"),
@@ -172,7 +173,7 @@ JUDGED_BY = {
     Kind.HOLD: ("rms_error_m", "max_error_m"),
     Kind.SHUTDOWN: (),
 }
-#: Reasons why a kind of part has no figures.
+#: Reasons why a part of some kind has no figures.
 NOT_JUDGED = {
     Kind.APPROACH: "not evaluated: it leads into the scan",
     Kind.SHUTDOWN: "not evaluated: the axis was stopped, its voltage goes to the safe value",
@@ -181,7 +182,7 @@ NOT_JUDGED = {
 
 @dataclass(frozen=True)
 class Part:
-    """Samples ``start`` to ``stop`` (exclusive) of one kind; whole periods end at the samples ``ends``.
+    """Samples ``start`` to ``stop`` (exclusive) of one kind; its whole periods end at the samples ``ends``.
 
     ``moves`` is the number of moves from hold to hold.
     """
@@ -193,16 +194,17 @@ class Part:
     moves: int = 1
 
     def moved(self, by: int) -> Part:
-        """Return the same part for a run that begins ``by`` samples earlier."""
+        """Return this part with the sample numbers of a run that begins ``by`` samples earlier."""
         return replace(self, start=self.start + by, stop=self.stop + by, ends=tuple(end + by for end in self.ends))
 
 
 def stopped(recording: Recording) -> np.ndarray:
     """Return whether the axis is stopped at each sample, shape (N,).
 
-    The plant, or a node between reference and voltage, reports a stop. A node without input also counts as stopped if a
-    stop of the axis follows, or if the run ends in that state. Without these signals, the recorded causes of the stop
-    are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from the signals.
+    A stop is reported by the plant, or by a node between reference and voltage. A node without input also counts as
+    stopped if a stop of the axis follows, or if the run ends in that state. Without these signals, the recorded causes
+    of the stop are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from reference,
+    displacement and voltage.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -224,14 +226,14 @@ def stopped(recording: Recording) -> np.ndarray:
 
 
 def stop_is_recorded(recording: Recording) -> bool:
-    """Return whether the recording contains information about stops: that of a node does, a table does not."""
+    """Return whether the recording contains information about stops: recordings of nodes do, tables do not."""
     return any(map(recording.has, (*MODES, "tripped"))) or "changes" in recording.metadata
 
 
 def _left_its_hold(recording: Recording) -> np.ndarray:
-    """Return the samples after a settled hold in which the axis moves to a constant voltage at a constant reference.
+    """Return the samples after a settled hold in which, at a constant reference, the axis moves to a constant voltage.
 
-    A closed loop does not do that, and an open loop keeps its voltage; at the end of a run it is therefore a shutdown.
+    A closed loop does not do this, and an open loop keeps its voltage; at the end of a run it is therefore a shutdown.
     """
     found = np.zeros(len(recording), dtype=bool)
     if len(recording) < 2 or not all(map(recording.has, ("reference", "voltage", "displacement"))):
@@ -284,7 +286,10 @@ def find_parts(reference, displacement=None, off=None) -> list[Part]:
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
-    """Separate the approach from a scan or hold that begins with a jump: until the first reversal, or until settled."""
+    """Separate the approach from a scan or hold that begins with a jump.
+
+    The approach lasts until the first reversal of the scan, or until the axis has settled in the hold.
+    """
     if parts[0].kind is Kind.HOLD:
         inside = slice(parts[0].start, parts[0].stop)
         error = np.abs(reference[inside] - displacement[inside])
@@ -315,7 +320,7 @@ def _running(reference) -> list[Part]:
         return _joined(_between_holds(reference))
     holds = find_holds(reference[found.start : found.stop])
     if sum(hold.stop - hold.start for hold in holds) > 0.5 * (found.stop - found.start):
-        # repeating steps include the holds around them
+        # repeating steps include the holds before and after them
         stop = max((hold.stop for hold in find_holds(reference) if hold.start <= found.stop), default=found.stop)
         stop = max(stop, found.stop)
         found = replace(found, kind=Kind.STEPS, moves=len(holds), start=_with_hold(reference, found.start), stop=stop)
@@ -327,7 +332,7 @@ def _running(reference) -> list[Part]:
 
 
 def _with_hold(reference, start: int) -> int:
-    """Return the start of a part; the part includes the end of the hold before it."""
+    """Return the start of a part, extended by the end of the hold before it."""
     held = next((hold for hold in find_holds(reference) if hold.start <= start <= hold.stop), None)
     return start if held is None else max(min(start, held.stop) - HOLD_SAMPLES, held.start)
 
@@ -336,7 +341,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
     """Return the longest interval between two samples in which the reference equals itself one period later."""
     points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
     size = EQUAL * float(np.ptp(reference[first:last]))
-    # the first reversal may belong to the approach, the last reversals to the return
+    # the first reversal may belong to the approach, the last reversals to the return to rest
     counts = range(2, min(points.size, REVERSALS + 1), 2)
     for reversals, skipped, tail in ((n, i, j) for n in counts for i in range(2) for j in range(3)):
         ends = points[: points.size - tail][::-1][::reversals][::-1][skipped:]
@@ -347,7 +352,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
         if np.ptp(periods) > max(EQUAL * period, JITTER):
             continue
         unlike = np.abs(reference[first + period : last] - reference[first : last - period]) > size
-        # a jump between samples causes a difference of one or two samples
+        # a jump between two samples causes a difference in one or two samples
         unlike[JITTER:] &= unlike[1 : unlike.size - JITTER + 1] & unlike[: unlike.size - JITTER]
         begin, end = int(ends[0]) - first, max(int(ends[-1]) - first - period, int(ends[0]) - first + 1)
         if end > unlike.size or unlike[begin:end].any():
@@ -365,7 +370,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
 
 
 def _between_holds(reference) -> list[Part]:
-    """Return the parts of a reference that does not repeat: its motions between holds."""
+    """Return the parts of a reference that does not repeat: the motions between its holds."""
     holds = find_holds(reference)
     if not holds or holds[0].start > 0:
         holds = [Hold(0, 0, float(reference[0])), *holds]
@@ -396,7 +401,7 @@ def _between_holds(reference) -> list[Part]:
 
 
 def _joined(parts: list[Part]) -> list[Part]:
-    """Join consecutive steps, include the end of the hold before them, and mark the approach of a scan."""
+    """Join consecutive steps, extend parts by the end of the hold before them, and mark the approach of a scan."""
     joined: list[Part] = []
     for part in parts:
         if joined and part.kind is Kind.STEPS:
@@ -421,7 +426,7 @@ def _joined(parts: list[Part]) -> list[Part]:
 def part_figures(part: Part, time, reference, displacement, stroke: float) -> dict:
     """Return the figures of merit of a part, the number of its steps, and the number of its whole periods.
 
-    The figures of a scan are over its whole periods, if it has any.
+    The figures of a scan are computed over its whole periods, if it has any.
     """
     found: dict = dict.fromkeys(JUDGED_BY[part.kind])
     inside = slice(part.start, part.stop)
@@ -444,7 +449,7 @@ def part_figures(part: Part, time, reference, displacement, stroke: float) -> di
 
 
 def step_figures(time, reference, displacement) -> dict:
-    """Return the worst figures of a part's steps, the number of steps, and how many do not settle."""
+    """Return the worst figures of the steps of a part, the number of steps, and how many of them do not settle."""
     responses = step_responses(time, reference, displacement)
     found: dict = {"steps": len(responses)}
     if responses:
@@ -456,18 +461,18 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: Relative excess of the mean square error, over that of undisturbed samples, above which a span counts as disturbed;
-#: and the least fraction of samples that must remain for this comparison.
+#: Relative excess of the mean square error over that of undisturbed samples, above which a span counts as disturbed;
+#: and smallest fraction of samples that must remain for the comparison.
 EXCESS, COMPARED = 0.1, 0.1
 
 
 def disturbed(skipped, error) -> np.ndarray:
-    """Return which samples are disturbed: the skipped samples, and the following samples until the effect has decayed.
+    """Return which samples are disturbed: skipped samples, and those after them until their effect has decayed.
 
-    Both have shape (N,): a flag for each sample, and its error [m], which is NaN if it does not count, for example
-    without a measurement. All spans after skipped samples have the same length n, the shortest of 1, 2, 4, … samples
-    for which the error has decayed: in the n samples after the spans, its mean square is at most that of samples
-    farther away plus :data:`EXCESS`.
+    ``skipped`` and ``error``, shape (N,), are a flag for each sample and its error [m]. The error is NaN if it does not
+    count, for example without a measurement. All spans after skipped samples have the same length n: the shortest of 1,
+    2, 4, … samples after which the error has decayed. It has decayed if, in the n samples after the spans, its mean
+    square is at most that of samples farther away plus :data:`EXCESS`.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
@@ -487,7 +492,7 @@ def disturbed(skipped, error) -> np.ndarray:
 
 
 def seconds(text: str, option: str) -> float:
-    """Return a time of the run [s] from its text or number."""
+    """Return a time within the run [s] from a text or number."""
     try:
         value, unit = quantity(text)
         if unit not in ("", "s") or value < 0.0:
@@ -498,7 +503,7 @@ def seconds(text: str, option: str) -> float:
 
 
 def within(recording: Recording, first: float, last: float) -> Recording:
-    """Return the samples from one time to another.
+    """Return the recording between two times.
 
     Units: ``first`` [s], ``last`` [s].
     """
@@ -512,7 +517,7 @@ def within(recording: Recording, first: float, last: float) -> Recording:
     metadata = {**recording.metadata, "notes": [*recording.notes, note]}
     metadata.setdefault("first_s", float(recording.time[0]))
     if not chosen[0]:
-        # with a preview, the reference before the excerpt differs from the first one in it
+        # with a preview, the reference before the excerpt differs from the first reference in the excerpt
         metadata["excerpt"] = True
     signals = {name: values[chosen] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
@@ -521,7 +526,9 @@ def within(recording: Recording, first: float, last: float) -> Recording:
 def period_ends(recording: Recording) -> np.ndarray:
     """Return the times at which whole periods of the reference end, the latest first, shape (P + 1,) [s].
 
-    They belong to the longest periodic part of the run, counted from the first sample; empty if no part is periodic.
+    The periods are those of the longest periodic part of the run; the result is empty if no part is periodic.
+
+    Times count from the first sample.
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
     finite = np.flatnonzero(np.isfinite(reference))
@@ -531,11 +538,11 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a repeating reference, up to its last reversal."""
+    """Return the last ``count`` periods of a repeating reference, up to its last reversal."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
     if count > ends.size - 1:
         raise RecordingError(f"--last-periods {count}: the run has {ends.size - 1} whole periods between reversals")
-    # the sample at the end belongs to the next period
+    # the sample at the end of a period belongs to the next period
     return within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures with Matplotlib's object interface (without pyplot or display), and charts as data for pages.
+"""Figures drawn with Matplotlib's object interface (without pyplot and display), and charts as data for pages.
 
-Matplotlib is imported with the first figure.
+Matplotlib is imported when the first figure is drawn.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
-#: Largest number of points of a drawn line; longer signals are drawn as minimum and maximum of intervals.
+#: Largest number of points of a drawn line; of longer signals, minimum and maximum of each interval are drawn.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
@@ -48,7 +48,7 @@ def new_figure(height: float, columns: int = 1, rows: int = 1):
 
 
 def envelope(time, values, points: int = LINE_POINTS):
-    """Return ``time`` and ``values``, thinned to minimum and maximum of each interval so that peaks stay."""
+    """Return ``time`` and ``values``, thinned to the minimum and the maximum of each interval so that peaks remain."""
     intervals = points // 2
     size = values.size // intervals
     if size < 2:
@@ -68,7 +68,7 @@ def envelope(time, values, points: int = LINE_POINTS):
 
 
 def length_unit(largest: float) -> tuple[str, float]:
-    """Return the unit for drawn lengths, µm or nm depending on the largest one, and the factor from metres.
+    """Return the unit for drawn lengths (µm, or nm if the largest length is small) and its factor from metres.
 
     Units: ``largest`` [m].
     """
@@ -106,7 +106,7 @@ COLOURS = {
 }
 #: Colours of the runs in a comparison, in order.
 SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
-#: Largest number of points of a path in a static figure; a page has fewer.
+#: Largest number of points of a path in a static figure; a path on a page has fewer.
 PATH_POINTS = 20000
 
 
@@ -120,7 +120,7 @@ class Line:
     y: np.ndarray
     width: float = 1.2  #: [points]
     dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: solid line.
-    #: shape (N,); Time of each point of a path [s], by which the page selects a part of it.
+    #: shape (N,); Time of each point of a path [s], from which the page selects the points of a time span.
     key: np.ndarray | None = None
     dots: bool = False  #: Draw single points in place of a line.
 
@@ -130,20 +130,20 @@ class Chart:
     """A chart."""
 
     name: str  #: Name of the chart, unique in its page.
-    caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
+    caption: str  #: caption, across, up: Caption of the chart, and labels of its axes with units.
     across: str
     up: str
     lines: Sequence[Line]
-    #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same, but each line has its
+    #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: x is time, but each line has its
     #: own times; ``graph``: x increases along each line; ``path``: x may reverse; ``steps``: x are the left edges of
     #: bars.
     kind: str = "time"
     logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, ``xy`` or empty.
     levels: Sequence[float] = ()  #: Horizontal lines, such as limits.
     level_label: str = ""  #: Meaning of the levels.
-    shaded: tuple[float, float] | None = None  #: Range of x that is shaded, with its label :attr:`shaded_label`.
+    shaded: tuple[float, float] | None = None  #: Shaded range of x; its label is :attr:`shaded_label`.
     shaded_label: str = ""
-    #: Further ranges of x, shape (M, 2), in another colour; :attr:`marked_label` says why.
+    #: Further marked ranges of x, shape (M, 2), in another colour; :attr:`marked_label` states their meaning.
     marked: np.ndarray | None = None
     marked_label: str = ""
     limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default those of the lines.
@@ -152,7 +152,7 @@ class Chart:
 
 
 def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
-    """Return columns over common times, with two points for each block of samples so that extremes stay.
+    """Return columns over common times, thinned to two points per block of samples so that extremes remain.
 
     For each block, a column keeps its lowest and its highest value, in the order in which they occur. Their times are
     set to those of the block's first and middle sample, so a peak is drawn at most one block from its true time.
@@ -166,7 +166,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
     padding = np.full(blocks * size - time.size, np.nan)
     starts = np.arange(blocks) * size
     middles = np.minimum(starts + size // 2, time.size - 1)
-    # the last block may be a single sample: its second time must come after the first
+    # the last block may be a single sample; the second time of a block must be later than the first
     instants = np.stack([time[starts], np.where(middles > starts, time[middles], np.nan)], axis=1).ravel()
     thinned = []
     for values in columns:
@@ -235,6 +235,6 @@ def chart_figure(chart: Chart):
         axis.set_ylim(*chart.limits)
     axis.set(xlabel=chart.across, ylabel=chart.up)
     if len(chart.lines) > 1 or chart.shaded is not None or chart.marked is not None or chart.level_label:
-        # labels of paths are long
+        # labels of paths are long, so there is one column
         add_legend(axis, 1 if chart.kind == "path" else 4)
     return figure

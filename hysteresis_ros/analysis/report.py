@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of a run: a static page; with scripts enabled it also shows the figures of any time span."""
+"""The report of a run: a static page that, if scripts are enabled, also shows the figures of any time span."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import FINE
 
-#: Number of blocks of samples; the page contains sums over each, and a time span consists of whole blocks.
+#: Number of blocks of samples. The page contains sums over each block, and a time span consists of whole blocks.
 BLOCKS = 1500
-#: Number of periods at the end of a run that have their own column of figures.
+#: Number of periods at the end of a run that have a column of figures of their own.
 LAST = 2
-#: Kinds of parts with a column, largest number of such columns, and the fraction from which a part counts as the whole
-#: run.
+#: Kinds of parts with a column, largest number of such columns, and fraction of the run above which a part counts as
+#: the whole run.
 SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
-#: Figures that the page computes for the displayed time span; the others need every sample.
+#: Figures that the page computes for the displayed time span; the other figures need every sample.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("voltage_rate_v_s", "voltage_variation_v", "saturated_percent", "stroke_m", "samples", "duration_s"),
@@ -68,10 +68,10 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the time spans with a column in the page's table: the whole run, its longest parts, its last periods."""
+    """Return the time spans that have a column in the table: the whole run, its longest parts, its last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
-    # a part that is the whole run needs no column of its own
+    # a part that is the whole run has no column of its own
     parts = [one for one in figures.get("parts", ()) if one["part"] in SHOWN]
     parts = [one for one in parts if one["to_s"] - one["from_s"] < WHOLE * (time[-1] - time[0])]
     parts = sorted(parts, key=lambda one: one["to_s"] - one["from_s"])[-PARTS:]
@@ -79,11 +79,11 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
     ends = time[0] + (period_ends(recording) if recording.has("reference") else time[:0])
     count = min(LAST, ends.size - 2)
     if count > 0:
-        # the sample at the end belongs to the next period
+        # the sample at the end of a period belongs to the next period
         name = "last period" if count == 1 else f"last {count} periods"
         spans.append((name, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time))
     for name, first, last in spans:
-        # the measurement may end before the reference
+        # the measurement may end earlier than the reference
         with contextlib.suppress(RecordingError):
             part = within(recording, first - time[0], last - time[0])
             found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
@@ -91,10 +91,10 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
 
 
 def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
-    """Return sums over blocks of samples, which determine the figures of any span of whole blocks exactly.
+    """Return sums over blocks of samples, from which the figures of any span of whole blocks follow exactly.
 
-    A term between two samples belongs to the later sample's block; ``joint_…`` is the term of the block's first sample,
-    which a span that begins with the block omits.
+    A term between two samples belongs to the block of the later sample; ``joint_…`` is the term that leads to the first
+    sample of the block. A span that begins with this block omits it.
 
     ====================== ================================================================================
     ``from``, ``to``       first and last time of the block [s]
@@ -161,29 +161,29 @@ def _voltage_sums(block, time, voltage, count: int) -> dict[str, np.ndarray]:
 
 
 def _joined(name: str, block, terms, count: int) -> dict[str, np.ndarray]:
-    """Return for each block the sum of terms between neighbouring samples, and the term that leads into the block."""
+    """Return for each block the sum of terms between neighbouring samples, and the term up to its first sample."""
     joint = np.zeros(count)
     crossing = np.flatnonzero(np.diff(block)) + 1
     joint[block[crossing]] = terms[crossing - 1]
     return {name: np.bincount(block[1:], terms, minlength=count), f"joint_{name}": joint}
 
 
-#: Functions of the charts of a run, in order; each returns None without data.
+#: Functions for the charts of a run, in order; each returns None if the run has no data for the chart.
 CHARTS = (
     *(traces_chart, error_chart, loops_chart, trace_retrace_chart, last_periods_chart, spectrum_chart),
     *(histogram_chart, voltage_chart, adaptation_chart, learned_chart, lateness_chart, late_samples_chart),
 )
-#: Largest size of a page [bytes]; a larger page is drawn with fewer points.
+#: Largest size of a page [bytes]; the charts of a larger page are drawn with fewer points.
 LARGEST = 2_000_000
 
 
 def charts_of(run: Judged) -> list[Chart]:
-    """Return the charts of a run for which it has data."""
+    """Return all charts for which the run has data."""
     return [chart for make in CHARTS if (chart := make(run)) is not None]
 
 
 def sampling_text(recording: Recording) -> str:
-    """Return a sentence about the samples that the figures use."""
+    """Return a sentence about the samples from which the figures are computed."""
     if len(recording) < 2:
         return "Evaluated at a single sample."
     limited = limited_text(recording)
@@ -219,7 +219,7 @@ def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
 def render_interactive(
     template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
 ) -> str:
-    """Return a page with charts, with fewer points if it would otherwise be larger than :data:`LARGEST`."""
+    """Return a page with charts, drawn with fewer points if the page would otherwise exceed :data:`LARGEST`."""
     pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
@@ -270,7 +270,7 @@ def render_report(
 
 
 def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
-    """Return the sums over blocks of a run in the form that a page embeds."""
+    """Return sums over blocks of a run, in the form in which a page embeds them."""
     return {name: packed(values, "<f8") for name, values in block_sums(run, blocks).items()}
 
 
@@ -278,6 +278,6 @@ def write_report(
     recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> None:
     """Write the report; the other parameters are those of :func:`render_report`."""
-    # checked before the slow drawing
+    # checked first, because drawing is slow
     require_page(path)
     write_page(path, render_report(recording, title, figures, first))

@@ -9,7 +9,7 @@
 
 """Plots of a measured frequency response: Bode with bands and distortion, sensitivities, Nyquist with margins.
 
-Of a stage: magnitude and phase of each pair of the response matrix, with bands, noise and distortion.
+For a stage: magnitude and phase of each entry of the response matrix, with bands, noise and distortion.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from hysteresis_ros.identification.frequency_response import PROBABILITY, Analys
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
-#: Half width of the region around −1 that the Nyquist plot shows.
+#: Half width of the region around −1 shown in the Nyquist plot.
 NYQUIST = 2.5
 
-#: Colours of the responses of a stage, besides that of the measurement.
+#: Colours of the responses of a stage, except that of the measurement.
 _FITTED, _NOISE, _DISTORTION = "#d1495b", "#9a9a9a", "#e09f3e"
 _MICRO = 1e6
 #: Largest number of columns of a figure of responses; for a stage with more axes it shows only the response of each
@@ -43,7 +43,7 @@ HEIGHT = 5.6
 
 
 class Shown(Protocol):
-    """The data of a measured axis that the plots need."""
+    """The data of a measured axis that the plots show."""
 
     plant: Analysis
     loop: MeasuredLoop | None
@@ -55,7 +55,7 @@ class Shown(Protocol):
 
 
 def response_figures(found: Shown) -> list[tuple[str, object]]:
-    """Return captions and figures: Bode plot of the plant; for a loop also sensitivities and Nyquist plot."""
+    """Return captions and figures: Bode plot of the plant and, for a loop, sensitivities and Nyquist plot."""
     figure, axes = new_figure(6.4 if found.plant.response.coherence is None else 8.0, rows=_rows(found))
     _bode(axes, found)
     figures = [("Frequency response", figure)]
@@ -70,7 +70,7 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
 
 
 def require_picture(path) -> None:
-    """Raise RecordingError when the suffix is not that of a picture, or the folder does not exist."""
+    """Raise RecordingError if the suffix is not that of a picture, or if the folder does not exist."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ".png":
         raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")
@@ -105,7 +105,7 @@ def _rows(found: Shown) -> int:
 
 
 def _bode(axes, found: Shown) -> None:
-    """Draw magnitude and phase with their bands, levels of distortion, and the coherence if known."""
+    """Draw magnitude and phase with their bands, levels of distortion and, if known, the coherence."""
     response, levels = found.plant.response, found.plant.distortion
     f, G = response.frequency, response.single
     magnitude, phase = axes[:2]
@@ -150,7 +150,7 @@ def _band(axis, f, size, radius, label: str | None = None) -> None:
 
 
 def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw |S| and |T| with their bands, and the M_s bound that every design must meet."""
+    """Draw |S| and |T| with their bands, and the bound M_s that every design must meet."""
     curves = ((loop.sensitivity, "sensitivity S", _MEASURED), (loop.complementary, "complementary T", _SECOND))
     if model is not None:
         S = 1.0 / (1.0 + model)
@@ -169,7 +169,7 @@ def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw L around −1 with the uncertainty circles of its lines, the unit circle and the M_s circle."""
+    """Draw L around −1 with the uncertainty circles at the lines, the unit circle and the M_s circle."""
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     bound = REQUIRED.sensitivity_peak
     axis.plot(turn.real, turn.imag, color="#bbbbbb", linewidth=0.8)
@@ -200,7 +200,7 @@ def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Return the labels with their points in the plane and offsets."""
+    """Return for each label its point in the complex plane and the offset of its text."""
     found = {}
     if np.isfinite(loop.gain_margin.value):
         found[f"gain margin {loop.gain_margin.value:.1f} dB"] = (
@@ -217,14 +217,14 @@ def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[f
 
 
 class ShownMatrix(Protocol):
-    """The data of a measured stage that the plots need."""
+    """The data of a measured stage that the plots show."""
 
     names: tuple[str, ...]
     matrix: ResponseMatrix
 
     @property
     def distortion(self) -> np.ndarray | None:
-        """Standard deviation by nonlinear distortion, shape (F, n, n) [m/V]."""
+        """Standard deviation of the response by nonlinear distortion, shape (F, n, n) [m/V]."""
 
     def lines(self) -> list[str]:
         """Return the printed table."""
@@ -246,7 +246,7 @@ def response_figure(
 
 
 def write_matrix_picture(path, found: ShownMatrix) -> None:
-    """Write the plots of all pairs into one picture."""
+    """Write the plots of all entries of the response matrix into one picture."""
     require_picture(path)
     count = len(_inputs(found.names, 0))
     figure, axes = new_figure(HEIGHT * len(found.names), count, 2 * len(found.names))
@@ -271,7 +271,7 @@ def _inputs(names: Sequence[str], row: int) -> list[int]:
 
 
 def _draw(axes, names: Sequence[str], found: ResponseMatrix, row: int, model, distortion) -> None:
-    """Draw magnitudes in the first half of the axes, and phases below."""
+    """Draw magnitudes in the first half of ``axes``, and phases in the second half."""
     response, inputs = found.response, _inputs(names, row)
     f = response.frequency
     radius = None if response.degrees is None else response.radius(PROBABILITY)

@@ -28,16 +28,16 @@ from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning
 from hysteresis_ros.recordings.provenance import configured
 from hysteresis_ros.recordings.triggers import triggers_of
 
-#: Approximate largest number of spans that are marked in a chart.
+#: Approximate largest number of spans marked in a chart.
 MOST_MARKS = 500
-#: Least number of whole periods for the chart.
+#: Smallest number of whole periods for which the chart of learning is drawn.
 LEAST_PERIODS = 3
 
 
 def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end of each learned period [s], and its RMS error [m] against the undelayed reference.
+    """Return the end of each learned period [s], and the RMS error of the period [m] against the undelayed reference.
 
-    Both are empty when fewer than three periods were learned. Without a true displacement the measured one is used.
+    Both are empty if fewer than three periods were learned. If there is no true displacement, the measured one is used.
     """
     given = configured(recording.configuration, "motion_controller", recording.metadata.get("namespace") or "")
     nothing = np.zeros(0), np.zeros(0)
@@ -58,13 +58,13 @@ _MICRO = 1e6
 
 @dataclass(frozen=True)
 class Judged:
-    """The signals of a run that its charts show."""
+    """The signals of a run that the charts show."""
 
     recording: Recording
     settings: AxisSettings
     displacement: np.ndarray  #: shape (N,); True, or measured, minus the preload offset [m].
-    #: reference, error: shape (N,); Reference that the displacement is compared with, and reference - displacement [m],
-    #: NaN while the axis is stopped; None: the recording has no reference.
+    #: reference, error: shape (N,); Reference that is compared with the displacement, and reference - displacement [m];
+    #: NaN while the axis is stopped; None if the recording has no reference.
     reference: np.ndarray | None
     error: np.ndarray | None
     start: int  #: First sample whose error counts.
@@ -72,7 +72,7 @@ class Judged:
 
     @property
     def disturbed(self) -> np.ndarray:
-        """Whether each sample is disturbed by a skipped one, shape (N,)."""
+        """Whether each sample is disturbed by a skipped sample, shape (N,)."""
         if self.error is None or not self.recording.has("skipped"):
             return np.zeros(len(self.recording), dtype=bool)
         error = np.where(self.counted, self.error, np.nan)
@@ -87,7 +87,7 @@ class Judged:
 
 
 def judged(recording: Recording) -> Judged:
-    """Return the signals of a run that its charts show."""
+    """Return the signals of a run that the charts show."""
     settings = axis_settings(recording)
     displacement = recording[actual_name(recording)] - settings.offset
     if not recording.has("reference"):
@@ -103,12 +103,12 @@ def judged(recording: Recording) -> Judged:
 
 
 def largest_error(run: Judged) -> float:
-    """Return the largest error that counts [m]; 0 if no error counts."""
+    """Return the largest of the errors that count [m]; 0 if no error counts."""
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
 def _marks(run: Judged) -> dict:
-    """Return the fields of a chart over time that mark the spans around skipped samples; close spans are joined."""
+    """Return the fields of a chart that mark the spans around skipped samples; spans close together are joined."""
     span = run.disturbed
     if not np.any(span):
         return {}
@@ -159,7 +159,7 @@ def error_chart(run: Judged) -> Chart | None:
     line = Line("error", "displacement", time, run.error * factor, 1.0)
     shown: dict = {}
     if run.start:
-        # errors that do not count are ignored in the scale
+        # the scale ignores errors that do not count
         largest = 1.5 * factor * largest_error(run)
         shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump at the beginning of the scan")
         shown["limits"] = (-largest, largest)
@@ -175,9 +175,9 @@ def error_chart(run: Judged) -> Chart | None:
 
 
 def loops_chart(run: Judged) -> Chart | None:
-    """Return the chart of the loop before (over voltage) and after compensation (over reference) [µm, %].
+    """Return the chart of the loops: displacement over voltage and, after compensation, over reference [µm, %].
 
-    A voltage without reversals has no loop and is not drawn; None when neither input reverses.
+    A voltage without reversals has no loop and is not drawn; None if neither voltage nor reference reverses.
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
     inputs = [("before compensation, over the voltage", "voltage", voltage, "V", 1.0)]
@@ -204,7 +204,7 @@ def loops_chart(run: Judged) -> Chart | None:
 
 
 def voltage_chart(run: Judged) -> Chart | None:
-    """Return the chart of the voltage over time with the limits of the configuration [V, s]; None without a voltage."""
+    """Return the chart of the voltage over time [V, s] with the configured limits; None without a voltage."""
     if not run.recording.has("voltage"):
         return None
     line = Line("voltage", "voltage", run.recording.time, run.recording["voltage"], 1.0)
@@ -216,7 +216,7 @@ def voltage_chart(run: Judged) -> Chart | None:
 
 
 def adaptation_chart(run: Judged) -> Chart | None:
-    """Return the chart of the gain of an adapted inverse over time; None without adaptation."""
+    """Return the chart of the gain of an adapted inverse over time; None if nothing was adapted."""
     recording = run.recording
     if not recording.has("adaptation") or not np.any(np.nan_to_num(recording["adaptation"])):
         return None
@@ -230,7 +230,7 @@ def adaptation_chart(run: Judged) -> Chart | None:
 
 
 def learned_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of each period [µm or nm] over time [s]; None without learning."""
+    """Return the chart of the error of each learned period [µm or nm] over time [s]; None without learning."""
     ends, errors = period_errors(run.recording)
     if not ends.size:
         return None
@@ -249,11 +249,11 @@ def lateness_chart(run: Judged) -> Chart | None:
 
 
 def late_samples_chart(run: Judged) -> Chart | None:
-    """Return the chart of the fraction of samples that exceed a lateness [µs]; None if it was not recorded."""
+    """Return the chart of the fraction of samples later than each lateness [µs]; None if it was not recorded."""
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
-    # both axes are logarithmic, so all of the latest samples are kept, and increasingly fewer of the others
+    # both axes are logarithmic: all of the latest samples are kept, and fewer and fewer of the earlier ones
     ranks = np.unique(np.rint(np.geomspace(1, late.size, 400)).astype(np.int64))
     # a lateness of 0 cannot be drawn on a logarithmic axis
     line = Line("samples", "late", np.maximum(late[ranks - 1], 0.1)[::-1], (ranks / late.size)[::-1])
@@ -265,9 +265,9 @@ def _finite(values) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-#: Least number of segments of a spectrum, and largest number of samples of a segment.
+#: Smallest number of segments of a spectrum, and largest number of samples in a segment.
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
-#: Least number of samples for a spectrum.
+#: Smallest number of samples for which a spectrum is computed.
 LEAST_SAMPLES = 64
 #: Largest number of points of a spectrum. If it has more lines, only the largest in each of this many frequency
 #: intervals (at most) is drawn.
@@ -353,7 +353,7 @@ def histogram_chart(run: Judged) -> Chart | None:
 
 
 def last_periods_chart(run: Judged) -> Chart | None:
-    """Return the chart of the overlaid errors of the last periods [nm]; None without a repeating reference."""
+    """Return the chart of the errors of the last periods, overlaid [nm]; None if the reference does not repeat."""
     if run.error is None:
         return None
     time = run.recording.time - run.recording.time[0]
@@ -379,7 +379,7 @@ def last_periods_chart(run: Judged) -> Chart | None:
 
 
 def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None:
-    """Return the samples of the last two branches of a reference; None when it does not reverse.
+    """Return the samples of the last two branches of a reference; None if the reference does not reverse.
 
     Units: ``reference`` [m].
     """
@@ -395,7 +395,7 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
-    """Return the chart of the errors of trace and retrace over the reference [nm, µm]; None without reversals."""
+    """Return the chart of the errors on trace and retrace over the reference [nm, µm]; None without reversals."""
     if run.error is None or run.reference is None:
         return None
     branches = last_branches(run.recording, run.reference)

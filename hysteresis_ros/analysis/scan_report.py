@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Accuracy of a scan of a plane: figures, map of the error, errors by line, trace against retrace, and the page.
+"""Accuracy of a scan in a plane: figures, map of the error, errors of lines, traces against retraces, and the page.
 
-Errors are reference - displacement. Only errors on the passes (:class:`hysteresis_ros.references.scan.Passes`), where
-data are taken, count; turns and flyback have their own figure. *Along* is the direction of the lines, *across* the
-other direction in the plane.
+Errors are reference - displacement. Only errors on the passes (:class:`hysteresis_ros.references.scan.Passes`) count,
+because data are taken there; turns and flyback have a figure of their own. *Along* is the direction of the lines,
+*across* is the other direction in the plane.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from hysteresis_ros.recordings.triggers import triggers_of
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
-#: Largest number of bins of the map along its longer side, and of points of a path in a picture.
+#: Largest number of bins of the map along its longer side, and largest number of points of a path in a picture.
 BINS, PATH_POINTS = 64, 20_000
-#: Number of passes for which a picture of a scan shows the velocities.
+#: Number of passes whose velocities are shown in the picture of a scan.
 SHOWN = 6
-#: Least span of both references of a map [m]; an axis with a smaller span holds its position.
+#: Smallest span of both references [m] for a map; an axis with a smaller span holds its position.
 LEAST_MAP = 1e-8
 _MICRO = 1e6
-#: Refusal of a run that has nothing to evaluate.
+#: Refusal of a run without samples that can be evaluated.
 NO_LINE = "no sample of the run is on a line of the scan and has a displacement"
-#: Rows of the table: name, words, unit, factor.
+#: Rows of the table: name, label, unit, factor.
 ROWS = (
     ("rms_error_m", "RMS error in the plane", "µm", 1e6),
     ("rms_error_percent", "RMS error in the plane", "% of size", 1.0),
@@ -66,7 +66,7 @@ ROWS = (
 
 
 class InPlane:
-    """Errors of a run of two axes or more, of which the first two are x and y of a plane."""
+    """Errors of a run of two or more axes; the first two axes are x and y of a plane."""
 
     time: np.ndarray
     reference: np.ndarray
@@ -93,18 +93,18 @@ class InPlane:
 
     @property
     def counted(self) -> np.ndarray:
-        """Samples whose error counts, shape (N,)."""
+        """Whether the error of a sample counts, shape (N,)."""
         return self.measured
 
     @property
     def gap(self) -> float:
-        """Distance of neighbouring lines [m]; 0: it is not known."""
+        """Distance between neighbouring lines [m]; 0 if it is not known."""
         return 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneRun(InPlane):
-    """A run of two axes of a stage that follow no scan."""
+    """A run of two axes of a stage that do not follow a scan."""
 
     time: np.ndarray  #: shape (N,); Increasing [s].
     reference: np.ndarray  #: shape (2, N) [m]
@@ -114,9 +114,9 @@ class PlaneRun(InPlane):
 
 
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
-    """Return the run of the first two axes of a recording in their plane; None where it has no such plane.
+    """Return the run of the first two axes of a recording in their plane; None if they do not form a plane.
 
-    It begins when the last of both axes begins its scan, like the figures of a stage.
+    The run begins when the later of the two axes begins its scan, like the figures of a stage.
     """
     if len(axes) < 2:
         return None
@@ -134,7 +134,7 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
 
 
 def trigger_times(runs: Iterable[Recording], time: np.ndarray, origin: float = 0.0) -> np.ndarray:
-    """Return the times of the triggers of axes within those of a run, both [s], counted from ``origin`` [s]."""
+    """Return the trigger times of axes that are within the times of a run [s], counted from ``origin`` [s]."""
     found = np.sort(np.concatenate([triggers_of(run).time for run in runs])) - origin
     return found[(found >= time[0]) & (found <= time[-1])]
 
@@ -154,7 +154,7 @@ class ScanRun(InPlane):
     reference: np.ndarray  #: shape (axes, N) [m]
     displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
     triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
-    #: shape (N,); Time on the path of each sample [s], if it is not ``time`` because the scan began again.
+    #: shape (N,); Time on the path of each sample [s], if it differs from ``time`` because the scan was started again.
     moment: np.ndarray | None = None
     names: tuple[str, ...] = AXES  #: Names of the axes.
 
@@ -175,7 +175,7 @@ class ScanRun(InPlane):
 
     @property
     def lasts(self) -> float:
-        """Time for which the axes follow the scan [s]: without that of stops."""
+        """Time for which the axes follow the scan [s], without stops."""
         if self.moment is None:
             return float(self.time[-1] - self.time[0])
         steps = np.diff(self.moment)
@@ -193,13 +193,13 @@ class ScanRun(InPlane):
 
     @property
     def gap(self) -> float:
-        """Distance of neighbouring lines [m]; 0: there are no lines."""
+        """Distance between neighbouring lines [m]; 0 if there are no lines."""
         return self.scan.gap if np.isfinite(self.scan.gap) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class LineErrors:
-    """Errors of each pass, in the order of time."""
+    """Errors of each pass, in order of time."""
 
     frame: np.ndarray  #: frame, line, direction: shape (P,)
     line: np.ndarray
@@ -210,7 +210,7 @@ class LineErrors:
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Mean errors along the lines at each pixel, over all lines and frames; NaN: no sample there."""
+    """Mean errors along the lines at each pixel, over all lines and frames; NaN for a pixel without samples."""
 
     trace: np.ndarray  #: trace, retrace: shape (pixels,) [m]
     retrace: np.ndarray
@@ -218,17 +218,17 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """Errors over the plane, in bins by the reference; NaN where there is no sample."""
+    """Errors over the plane, in bins of the reference; NaN for a bin without samples."""
 
     x: np.ndarray  #: x, y: shape (columns + 1,), (rows + 1,); Edges of the bins [m].
     y: np.ndarray
-    count: np.ndarray  #: shape (rows, columns); Number of samples of each bin.
+    count: np.ndarray  #: shape (rows, columns); Number of samples in each bin.
     mean: np.ndarray  #: shape (2, rows, columns); Mean errors of x and y [m].
     rms: np.ndarray  #: shape (rows, columns); RMS of the magnitude of the error [m].
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return the time on the path [s] from which a run is evaluated: after one of several periods, or after a line.
+    """Return the time on the path [s] from which a run counts: after one of several periods, or after a line.
 
     ``time``: times on the path of all samples [s].
     """
@@ -267,7 +267,7 @@ def profile(run: ScanRun) -> Profile:
 
 
 def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
-    """Return the map of the error in the plane; by default the bins are so wide that none between lines is empty."""
+    """Return the map of the error in the plane; the default bins are wide enough that none between lines is empty."""
     on = run.counted
     places, errors = run.reference[:2, on], run.error[:2, on]
     low, high = places.min(axis=1), places.max(axis=1)
@@ -298,8 +298,8 @@ def retraced(run: ScanRun) -> bool:
 def scan_figures(run: ScanRun) -> dict:
     """Return the figures of a scan, see :data:`ROWS`; None for a figure that this kind of scan does not have.
 
-    Coupling is the error across a line, caused by the motion along it. It is computed about its mean over the line,
-    because an offset of the whole line is an error of the other axis itself.
+    Coupling is the error across a line that is caused by the motion along the line. It is computed about the mean error
+    of the line, because an offset of the whole line is an error of the other axis itself.
     """
     scan, on = run.scan, run.counted
     lines, sides = line_errors(run), profile(run)
@@ -334,14 +334,14 @@ def scan_figures(run: ScanRun) -> dict:
 
 
 def _begins(run: ScanRun) -> np.ndarray:
-    """Return which of the samples that count are the first of their pass."""
+    """Return which of the counted samples are the first of their pass."""
     clock, on = run.clock, run.counted
     keys = np.stack([clock.frame[on], clock.line[on], clock.direction[on]])
     return np.concatenate([[True], np.any(np.diff(keys, axis=1) != 0, axis=0)])
 
 
 def path_figure(run: InPlane):
-    """Return the figure of the path in the plane, coloured by the error, over the reference."""
+    """Return the figure of the path in the plane over the reference, coloured by the size of the error."""
     figure, (axis,) = new_figure(6.4)
     from matplotlib.collections import LineCollection
 
@@ -370,13 +370,13 @@ def path_figure(run: InPlane):
 
 
 def map_figure(run: InPlane):
-    """Return the figure of the error map: RMS, and mean of x and y."""
+    """Return the figure of the error maps: RMS error, and mean errors of x and y."""
     found = error_map(run)
     ratio = (found.y[-1] - found.y[0]) / (found.x[-1] - found.x[0])
     figure, axes = new_figure(float(np.clip(1.6 + 2.5 * ratio, 2.5, 6.0)), 3)
     edges = [found.x * _MICRO, found.y * _MICRO]
     unit, factor = length_unit(float(np.nanmax(found.rms)))
-    # bins on the edge with single samples are ignored in the scale of the colours
+    # the scale of the colours ignores bins with single samples, which occur at the edge
     steepest = max(float(np.nanpercentile(np.abs(found.mean), 99.0)), 1e-15) * factor
     panels = [("RMS error", found.rms, dict(cmap="viridis", vmin=0.0))]
     panels += [
@@ -439,7 +439,7 @@ def trace_figure(run: ScanRun):
 
 
 def scan_picture(scan: Scan):
-    """Return the figure of a scan without a run: the path of a period, and velocities over a few middle lines."""
+    """Return the figure of a scan without a run: the path of one period, and velocities over a few middle lines."""
     figure, (left, right) = new_figure(4.4, 2)
     time = np.linspace(0.0, scan.period, PATH_POINTS)
     x, y = scan.position(time)[:2] * _MICRO
@@ -478,14 +478,14 @@ def format_scan(figures: dict) -> str:
 
 
 def plane_plots(run: InPlane) -> Iterable[tuple[str, object]]:
-    """Yield the captions and figures of a run in its plane; there is a map only if both axes move."""
+    """Yield captions and figures of a run in its plane; the map is included only if both axes move."""
     yield "Path in the plane, coloured by the error", path_figure(run)
     if np.min(np.ptp(run.reference[:2, run.counted], axis=1)) > LEAST_MAP:
         yield "Map of the error in the plane", map_figure(run)
 
 
 def format_plane(run: PlaneRun) -> str:
-    """Return the figures of a run in its plane as a line for a terminal."""
+    """Return the figures of a run in its plane as one line for a terminal."""
     figures = plane_figures(run)
     rms, largest = (readable(figures[name], "m") for name in ("rms_error_m", "max_error_m"))
     return f"plane {run.names[0]}-{run.names[1]}: RMS error {rms}, largest {largest}"

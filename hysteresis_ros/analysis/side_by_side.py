@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Comparison of runs, of actuators or of inchworm motors: one table of figures, and overlaid charts."""
+"""Comparison of several runs, actuators or inchworm motors: a table of their figures, and overlaid charts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from hysteresis_ros.analysis.tables import aligned, format_parts, format_table, 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Lines of each chart that are overlaid for several runs, and their styles.
+#: Lines of each chart that are overlaid for several runs, and the dash styles of these lines.
 OVERLAID: dict[str, dict[str, tuple[float, ...]]] = {
     "traces": {"displacement": ()},
     "error": {"error": ()},
@@ -80,7 +80,7 @@ def figures_of_each(runs: dict[str, Recording], figures: Callable[[Recording], d
 
 
 def _there(run: Recording) -> set[str]:
-    """Return the names of the signals with values; ``measured`` counts as ``displacement``."""
+    """Return the names of the signals that have values; ``measured`` counts as ``displacement``."""
     return {"displacement" if name == "measured" else name for name in run.signals if run.has(name)}
 
 
@@ -108,7 +108,7 @@ def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
-    """Return the overlaid charts of several runs, whose times begin at their first samples."""
+    """Return the overlaid charts of several runs; the times of each run begin at its first sample."""
     unit = length_unit(max(largest_error(run) for run in runs.values()))
     charts: dict[str, list[tuple[str, str, Chart]]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -151,7 +151,7 @@ def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
 
 
 def _alike(line: Line, other: Line) -> bool:
-    """Return whether two lines agree to a thousandth of their range over their common length."""
+    """Return whether two lines agree within a thousandth of their range over the length that both have."""
     last = min(line.x[-1], other.x[-1])
     there = line.x <= last
     apart = np.abs(np.interp(line.x[there], other.x, other.y) - line.y[there])
@@ -159,7 +159,7 @@ def _alike(line: Line, other: Line) -> bool:
 
 
 def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
-    """Return headings and texts: the configuration of the first run, and the differences of the others."""
+    """Return headings and texts: configuration of the first run, and how those of the other runs differ."""
     (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
     texts = [(f"Configuration of {first}", base)] if base else []
     for name, text in others:
@@ -179,7 +179,7 @@ def render_side_by_side(
 ) -> str:
     """Return the page of several runs: table of figures, overlaid charts, the plane of two axes, configurations."""
     figures = figures or compare_runs(runs)
-    # every run begins at its first sample
+    # the time of every run begins at its first sample
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
     blocks = max(100, BLOCKS // len(runs))
     sums = [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()]
@@ -198,7 +198,7 @@ def render_laid_over(
     sums: Sequence[dict] = (),
     plots: Sequence[dict] = (),
 ) -> str:
-    """Return a page of several runs from its charts and its table."""
+    """Return a page of several runs from given charts and a given table."""
     longest = max(float(run.time[-1] - run.time[0]) for run in runs.values())
     about = {"whole": [0.0, longest], "first": 0.0, "spans": [["all", 0.0, longest]], "runs": list(sums)}
     return render_interactive(
@@ -220,7 +220,7 @@ def render_laid_over(
     )
 
 
-#: Summary of the moves of a run: name, label, displayed unit, factor from SI.
+#: Figures that summarise the moves of a run: name, label, displayed unit, factor from the SI unit.
 SUMMARY = (
     ("moves", "Moves", "", 1.0),
     ("arrived", "Moves that arrived", "", 1.0),
@@ -231,12 +231,12 @@ SUMMARY = (
     ("final_error_max_m", "Final error, largest", "nm", 1e9),
     ("overshoot_m", "Overshoot, worst move", "µm", 1e6),
 )
-#: The line of a chart that represents a run.
+#: Line of each chart that is drawn for each run.
 OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
 
 
 def summary(moves: list[dict]) -> dict:
-    """Return the summary of moves with the names of :data:`SUMMARY`; None for a figure that no move has."""
+    """Return the summary of moves by the names in :data:`SUMMARY`; a figure that no move has is None."""
 
     def of(name: str) -> list[float]:
         return [move[name] for move in moves if move[name] is not None]
@@ -254,13 +254,13 @@ def summary(moves: list[dict]) -> dict:
 
 
 def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
-    """Return the figures of each run, and the summary of its moves under ``summary``."""
+    """Return the figures of each run; ``summary`` is the summary of the run's moves."""
     found = figures_of_each(runs, inchworm_figures)
     return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
 
 
 def _rows(figures: dict[str, dict]) -> list[dict]:
-    """Return the rows of the table: summary of the moves, figures of the run, figures of every run."""
+    """Return the rows of the table: summary of the moves, figures of the run, figures that any axis has."""
     of = list(figures.values())
     return [
         *table_of([one["summary"] for one in of], SUMMARY),
@@ -295,13 +295,13 @@ def render_motors(
     figures: dict[str, dict] | None = None,
     plane: PlaneRun | None = None,
 ) -> str:
-    """Return the page of several runs: table of figures, overlaid charts, configurations; motors have no plane."""
+    """Return the page of several runs: table of figures, overlaid charts, configurations; ``plane`` is not used."""
     figures = figures or compare_motors(runs)
     return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
 
 
 class Report(NamedTuple):
-    """Functions for figures, table and page of one run, and of several runs side by side, for one kind of axis."""
+    """Functions for one kind of axis: figures, table and page of one run, and of several runs side by side."""
 
     figures: Callable[[Recording], dict]
     table: Callable[[dict], str]  #: ``table(figures)`` returns lines for a terminal.
@@ -318,12 +318,12 @@ INCHWORM_REPORT = Report(
 
 
 def report_of(run: Recording) -> Report:
-    """Return the report of the kind of axis of a run."""
+    """Return the report for the kind of axis in a run."""
     return INCHWORM_REPORT if is_inchworm(run) else REPORT
 
 
 def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
-    """Return a name for each recording: its file name, with as much of the path as is needed to make it unique."""
+    """Return a name for each recording: the file name, preceded by as much of the path as makes it unique."""
     whole = [pathlib.Path(path).resolve() for path in paths]
     if len(set(whole)) < len(whole):
         again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
@@ -336,7 +336,7 @@ def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path
 
 
 def common_report(runs: dict[str, Recording]) -> Report:
-    """Return the report of runs of one kind of axis."""
+    """Return the report for runs of the same kind of axis."""
     names = {report_of(run): name for name, run in reversed(runs.items())}
     if len(names) > 1:
         raise RecordingError(
@@ -352,7 +352,7 @@ def report_several(
 ) -> tuple[dict[str, dict], str]:
     """Compare runs and write a page; return the figures of each run, and lines for a terminal.
 
-    The runs of two axes of a stage have a ``plane``, whose pictures are on the page.
+    If the runs are two axes of a stage, ``plane`` contains both; the page then shows pictures of it.
     """
     if not runs:
         raise RecordingError("no run to report: give at least one")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Human-readable figures: numbers with units, rows and tables for pages and terminals."""
+"""Figures for human readers: numbers with units, and rows and tables for pages and terminals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hysteresis_ros.analysis.metrics import FIGURES
 from hysteresis_ros.analysis.parts import JUDGED_BY, NOT_JUDGED, Kind
 from hysteresis_ros.units import FINE
 
-#: Units of figures and their thousandths.
+#: Units of figures, and the units a thousand times smaller.
 FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs", "V": "mV"}
 
 
 def shown(value, unit: str, factor: float) -> tuple[str, str]:
-    """Return a figure as text and its unit, with small values in the finer unit: 12.3 nm and not 0.0123 µm."""
+    """Return a figure as text and its unit; small values get the finer unit: 12.3 nm instead of 0.0123 µm."""
     if value and unit in FINER and abs(value) * factor < FINE:
         return format_value(value, 1e3 * factor), FINER[unit]
     return format_value(value, factor), unit
@@ -34,7 +34,7 @@ def shown_row(label: str, value, unit: str, factor: float) -> dict:
     return dict(label=label, value=text, unit=finer)
 
 
-#: Short names of the figures of a part.
+#: Short names of the figures of parts of a run.
 _SHORT = {
     "rms_error_m": "RMS error",
     "max_error_m": "maximum",
@@ -79,7 +79,7 @@ def _judgement(one: dict) -> str:
 
 
 def leading(columns: Sequence[dict]) -> tuple:
-    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES`, beginning with those of the longest part."""
+    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES`, ordered so that those of the longest part come first."""
     lasting: dict[str, float] = {}
     for one in (one for figures in columns for one in figures.get("parts", ())):
         if one["part"] in (Kind.STEPS, Kind.SCAN, Kind.PATH):
@@ -90,7 +90,7 @@ def leading(columns: Sequence[dict]) -> tuple:
 
 
 def format_table(figures: dict) -> str:
-    """Return parts and figures as aligned lines for a terminal, with the reason for each figure without a value."""
+    """Return parts and figures as aligned lines for a terminal; a figure without a value is followed by the reason."""
     rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in leading([figures])]
     width = max(len(label) for label, *_ in rows)
     lines = format_parts(figures)
@@ -104,7 +104,7 @@ def format_table(figures: dict) -> str:
 
 
 def format_parts(figures: dict, name: str = "") -> list[str]:
-    """Return the parts of a run as aligned lines for a terminal, preceded by the name of the run, if any."""
+    """Return the parts of a run as aligned lines for a terminal, preceded by the name of the run if it has one."""
     rows = part_rows(figures)
     wide = max((len(row["part"]) for row in rows), default=0), max((len(row["span"]) for row in rows), default=0)
     before = f"{name}: " if name else ""
@@ -121,7 +121,7 @@ def format_value(value, factor: float = 1.0) -> str:
 
 
 def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
-    """Return figures as text and their common unit, the finer one when even the largest is small."""
+    """Return figures as texts with a common unit; it is the finer unit if even the largest value is small."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     if unit in FINER and 0.0 < largest * factor < FINE:
         unit, factor = FINER[unit], 1e3 * factor
