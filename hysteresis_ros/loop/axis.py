@@ -53,8 +53,8 @@ class Change(NamedTuple):
     #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m]. With
     #: ``quiet``: ``duration`` [s], and ``tolerance`` [m] if the drift is limited.
     parameters: dict = {}
-    #: Step of the sample that precedes the change: ``measured`` for the plant, ``answered`` for a controller that has
-    #: not yet received the achieved command; empty: none.
+    #: Step of the sample after which the change takes effect: ``measured`` for the plant, ``answered`` for a controller
+    #: that has not yet received the achieved command; empty: the change precedes all steps of the sample.
     after: str = BEFORE
 
 
@@ -173,7 +173,7 @@ class Axis:
         return {"time": sample_times(begin, count, self.sample_rate), **named}
 
     def _run(self, columns: np.ndarray, what: int = WHOLE, row: np.ndarray | None = None) -> None:
-        """Compute the samples of these columns, which already contain the inputs."""
+        """Compute the samples of ``columns``, which already contain the inputs."""
         if not columns.shape[1]:
             return
         whole = np.ascontiguousarray(columns)
@@ -195,9 +195,10 @@ class Axis:
                     self.apply(change)
 
     def with_plant(self, parameters: AxisParameters) -> Axis:
-        """Return an axis with a new plant and the source, the controller and the compensator of this axis.
+        """Return an axis with a new plant, and with the source, controller and compensator of this axis.
 
-        This saves building the other parts when only the plant differs between runs; do not use this axis afterwards.
+        The other parts need not be built again when only the plant differs between runs. Do not use this axis
+        afterwards.
         """
         other = copy.copy(self)
         other.parameters, other.sample = parameters, 0
@@ -205,7 +206,7 @@ class Axis:
         return other
 
     def apply(self, change: Change, place: int = 0) -> None:
-        """Start, stop or retune a part between two samples; ``place``, the index of an axis in a stage, is 0."""
+        """Start, stop or retune a part between two samples; ``place`` is 0 (the index of the only axis)."""
         part = self.by_node[change.node]
         if change.action == "retune":
             present = part.parameters

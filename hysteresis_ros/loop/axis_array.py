@@ -11,7 +11,8 @@
 
 The axes have the same structure: the same kernels, and arrays of the same shapes. Their parameters may differ. All
 arrays of an axis are slices of one row of memory, at the same offsets for every axis, so one compiled loop advances
-from axis to axis by moving pointers. It runs the tick of the single axis, so every axis gives the same bits as alone.
+from axis to axis by moving pointers. The loop runs the same tick as for a single axis, so each axis of an array gives
+the same bits as an axis alone.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from hysteresis_ros.models.block import Stored, contents, direct, displaced, spe
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 from hysteresis_ros.references.approach import HIGH, LOW
 
-#: Largest number of axes of an array, and most threads that share them.
+#: Largest number of axes of an array, and of threads that share the axes.
 MOST_AXES, MOST_THREADS = 4096, 256
 #: Signals that a run keeps by default.
 KEPT = (
     *("reference", "command", "voltage", "displacement", "measured"),
     *("saturated", "tripped", "plant_voltage", "plant_mode"),
 )
-#: Longer arrays follow the others in the row of an axis; most of their memory is never accessed.
+#: Arrays longer than this stand at the end of an axis' row, because most of their memory is never accessed.
 LONG = 512
 #: Alignment of the rows [numbers]: two axes never share a cache line.
 LINE = 8
@@ -60,9 +61,9 @@ OF_PART = {"plant": slice(0, 3), "source": slice(3, 4), "controller": slice(4, 5
 def ticks_of_all(stored, stride, first, rows, setpoints, kept, found):
     """Compute ``setpoints.shape[1]`` samples of each axis; all states and rows are updated in place.
 
-    ``stored`` has the kernels, and the arrays of axis 0; those of axis i begin ``stride`` · i numbers later. ``rows``,
-    ``setpoints`` and ``found`` begin with axis ``first``; ``kept`` has the indices of the signals that are copied into
-    ``found``.
+    ``stored`` has the kernels, and the arrays of axis 0; the arrays of axis i begin ``stride`` · i numbers later. The
+    first entry of ``rows``, ``setpoints`` and ``found`` belongs to axis ``first``. The signals with the indices
+    ``kept`` are copied into ``found``.
     """
     laws, parts = contents(stored)
     for i in range(rows.shape[0]):
@@ -120,7 +121,7 @@ class ArrayRun:  # numpydoc ignore=PR02
         return f"ArrayRun of {len(self)} axes and {len(self.time)} samples: {', '.join(self.signals)}"
 
     def axis(self, number: int, describe: bool = True) -> Recording:
-        """Return the run of one axis; ``voltage`` is the voltage that its actuator received.
+        """Return the run of one axis; ``voltage`` is the voltage that the actuator received.
 
         Parameters
         ----------
@@ -132,7 +133,7 @@ class ArrayRun:  # numpydoc ignore=PR02
         Returns
         -------
         Recording
-            Copies of its signals, for figures, plots and reports.
+            Copies of the signals of the axis, for figures, plots and reports.
 
         Raises
         ------
@@ -205,7 +206,7 @@ class AxisArray:
                 built = axis if not number else _axis_of(parameters, number, built)
                 leaves = list(_leaves(built.parts))
                 self._require_same_structure(number, axis, built, shapes)
-                # zeros are left out, because the system allocates memory only when it is written
+                # zeros are not written, because the system allocates memory only when it is written
                 inside = [np.flatnonzero(array) for _, array in leaves]
                 filled = np.concatenate([place + some for place, some in zip(self.places, inside, strict=True)])
                 values = np.concatenate([array.flat[some] for (_, array), some in zip(leaves, inside, strict=True)])
@@ -259,7 +260,7 @@ class AxisArray:
         Returns
         -------
         ndarray, shape (n,)
-            Voltage of each axis [V]. Other signals of the sample by name: ``array["displacement"]``.
+            Voltage of each axis [V]. Other signals of the sample are available by name: ``array["displacement"]``.
 
         Raises
         ------
@@ -281,9 +282,9 @@ class AxisArray:
         Parameters
         ----------
         setpoints : array_like, shape (n, N) or (N,), optional
-            Setpoints of each axis [m], or the same for all; by default the configured ones.
+            Setpoints of each axis [m], or one row for all axes; by default the configured setpoints.
         samples : int, optional
-            Number of samples; by default that of the setpoints, or the configured length.
+            Number of samples; by default the number of setpoints, or the configured length of a run.
         signals : sequence of str
             Signals to keep.
 
@@ -339,7 +340,7 @@ class AxisArray:
 
 @dataclass(frozen=True)
 class ArrayNodeParameters(NodeParameters):
-    """Parameters of ``axis_array``, which has many independent axes of the kind that the other sections describe."""
+    """Parameters of ``axis_array``: many independent axes, each as the other sections of the file describe it."""
 
     axes: int = parameter(1, low=1, high=MOST_AXES, read_only=True, description="number of axes")
     threads: int = parameter(1, low=1, high=MOST_THREADS, read_only=True, description="threads that share the axes")
@@ -385,7 +386,7 @@ class ArrayNodeParameters(NodeParameters):
 
 
 def whole_number(name: str, value, most: int) -> int:
-    """Return a whole number within 1 … ``most``; raise a ParameterError with its name for everything else."""
+    """Return a whole number within 1 … ``most``; for everything else raise a ParameterError that contains ``name``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
         raise ParameterError([Problem(name, value, f"must be a whole number within 1 … {most}")])
     return int(value)
@@ -394,7 +395,7 @@ def whole_number(name: str, value, most: int) -> int:
 def parameters_of_each(
     parameters: AxisParameters, count: int, each: Mapping[str, Sequence[Any] | np.ndarray] | None = None
 ) -> list[AxisParameters]:
-    """Return the parameters of ``count`` axes; ``each`` has their values by ``NODE.PARAMETER``, one for each axis."""
+    """Return the parameters of ``count`` axes; ``each`` maps ``NODE.PARAMETER`` to one value for each axis."""
     whole_number("axes", count, MOST_AXES)
     columns: dict[str, dict[str, list]] = {}
     for target, values in (each or {}).items():
@@ -418,7 +419,7 @@ def parameters_of_each(
 
 
 def _column(parameters: AxisParameters, count: int, target: str, values) -> list:
-    """Return the values of one parameter in its type, one for each axis."""
+    """Return the values of one parameter for each axis, in the type of the parameter."""
     node, _, name = target.partition(".")
     present = [known for known in NODE_PARAMETERS if getattr(parameters, known) is not None]
     rows = {row.name: row for row in NODE_PARAMETERS[node].table()} if node in present else {}
@@ -436,7 +437,7 @@ def _column(parameters: AxisParameters, count: int, target: str, values) -> list
 
 
 def _axis_of(parameters: AxisParameters, number: int, before: Axis | None = None) -> Axis:
-    """Return a single axis, which shares all parts but the plant with ``before`` if only the plants differ."""
+    """Return a single axis; if only the plants differ, it shares all other parts with ``before``."""
     plant = parameters.plant_simulator
     if plant.type != "actuator":
         raise ConfigurationError(
@@ -466,7 +467,7 @@ def _address(array: np.ndarray) -> int:
 
 
 def _places(parts: Parts) -> tuple[list[int], int]:
-    """Return the index at which each array of an axis begins in its row, and the length of the row.
+    """Return the index at which each array begins in the row of its axis, and the length of the row.
 
     Arrays that share memory continue to share it.
     """

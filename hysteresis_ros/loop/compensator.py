@@ -86,7 +86,7 @@ OWN_PARAMETERS = 3
 
 # Own state.
 STOP = 0  # 1 while stopped
-RETURNING = 1  # 1: the next voltage continues from the present one
+RETURNING = 1  # 1: the next voltage continues from the present voltage
 COMMAND = 2  # last finite command [m]
 OWN_STATES = 3
 
@@ -101,8 +101,8 @@ def compensate_fixed(laws, arrays, row):
     """Compute the voltage by the fixed inverse.
 
     When the plant's output differs from the voltage sent, the model follows the output, and the next voltage continues
-    from there. So the reported achieved command stays correct, and the next step is small. In a skipped sample the
-    voltage is held, and the model follows it.
+    from that output. So the reported achieved command stays correct, and the voltage does not jump. In a skipped sample
+    the voltage is held, and the model follows it.
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
@@ -133,8 +133,8 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # the voltage follows the path; its difference from the path decreases at most at the slew rate to the safe
-        # voltage
+        # the voltage follows the voltage of the inverse; the difference between the two decreases at most at the slew
+        # rate that is used for the way to the safe voltage
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -152,7 +152,7 @@ def compensate_fixed(laws, arrays, row):
 
 @kernel
 def note_output(own_p, row):
-    """Write the voltage that reached the actuator into the row when it differs from the voltage sent."""
+    """Write the voltage at the actuator into the row when it differs from the voltage sent."""
     if abs(row[at.PLANT_VOLTAGE] - row[at.VOLTAGE]) > own_p[TOLERANCE]:
         row[at.VOLTAGE] = row[at.PLANT_VOLTAGE]
         row[at.SATURATED] = 1.0
@@ -160,7 +160,7 @@ def note_output(own_p, row):
 
 @nested
 def compensate_adaptive(laws, arrays, row):
-    """Adapt the inverse with this sample's measurement, compute the voltage by it, and store the output."""
+    """Adapt the inverse with this sample's measurement, compute the voltage by the inverse, and store the output."""
     p, x, settings, states = arrays.p, arrays.x, arrays.settings, arrays.adaptation
     voltage = x.limits[limiting.OUTPUT]
     measured = math.nan if row[at.SKIPPED] != 0.0 else row[at.MEASURED]
@@ -177,7 +177,7 @@ def compensate_adaptive(laws, arrays, row):
 
 @kernel
 def may_learn(own_p, own, limited):
-    """Return 1 if the present sample may be used for adaptation, otherwise 0, and store the reason."""
+    """Return 1 if the present sample may be used for adaptation; otherwise store the reason and return 0."""
     if own[adapting.WAIT] > 0.0:
         own[adapting.WAIT] -= 1.0
         own[adapting.STATE] = adapting.WAITING
@@ -221,7 +221,7 @@ class CompensatorPart:
     def follow_plant(self, rounding: float, begins_safe: bool) -> None:
         """Follow the plant's output when it differs from the voltage sent.
 
-        Only a loop that computes whole samples does this: separate nodes receive the output too late.
+        Only a loop that computes all parts of a sample does this: separate nodes receive the output too late.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -253,7 +253,7 @@ class CompensatorPart:
         self.arrays.watch_x.own[STOP] = 1.0
 
     def start(self) -> None:
-        """Continue without a jump: the difference to the command fades out."""
+        """Continue without a jump: the difference between the voltage and that for the command fades out."""
         self.arrays.watch_x.own[STOP] = 0.0
         self.arrays.watch_x.own[RETURNING] = 1.0
 
@@ -278,7 +278,7 @@ class CompensatorPart:
         self._take(self.parameters, adaptation.identified)
 
     def saved(self) -> dict:
-        """Return the adapted model as parameters of the node; an axis that starts with them has the adapted model."""
+        """Return the adapted model as parameters of the node, with which another axis can start."""
         adaptation = self._adapted()
         model = {f"hysteresis.{name}": value for name, value in adaptation.weighted.to_mapping().items()}
         chosen = f"hysteresis.{self.parameters.hysteresis.type}."
@@ -326,7 +326,7 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Go to the safe voltage [V] immediately and return it; an exiting node publishes it last."""
+        """Go to the safe voltage [V] immediately and return it; it is the last message of an exiting node."""
         limits = self.arrays.p.limits
         # the slew rate limit must not keep the last message from being the safe voltage
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0

@@ -98,7 +98,8 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: After this number of samples without a report of the achieved command, no node is assumed to report it.
+#: After this number of samples without a report of the achieved command, the controller assumes that no node reports
+#: it.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.
@@ -145,7 +146,7 @@ def present_offset(own_p, own, decay):
 def resume(x, own, value):
     """Restart the controller at the displacement ``value`` [m]; the command continues from the last command.
 
-    The reference also starts at the displacement and fades to the received reference. The reason: a reaching law
+    The reference also starts at the displacement and fades to the received reference, because of the reaching law: it
     responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
     achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14). After a quiet hold the controller
     keeps its states, because the axis has stood still.
@@ -158,9 +159,10 @@ def resume(x, own, value):
     go_on_from(x.handover, own[COMMANDED])
     go_on_from(x.return_path, value)
     if own[quieting.CONTINUES] != 0.0:
-        # a single measurement would put its noise into the reference
+        # the mean of the last measurements, because a single measurement would put its noise into the reference
         go_on_from(x.return_path, own[quieting.SEEN])
-        # the difference is the noise of one sample: it is halved in each sample, and nothing fades slowly
+        # the command differs from the held command only by the noise of one sample: this difference is halved in each
+        # sample, so no slow fade follows
         x.handover[ARMED], x.handover[BIAS] = 2.0, 0.0
         own[quieting.CONTINUES] = 0.0
     else:
@@ -175,7 +177,7 @@ def foreseeable(own_p, own, state, seen):
 
 @kernel
 def corrected(p, x, own, value, followed, skipped):
-    """Return the reference [m] with the learned correction; ``followed`` states whether the axis follows it now."""
+    """Return the reference [m] with the learned correction; ``followed``: whether the axis follows the reference."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
     error = own[REFERENCE] - value
@@ -188,7 +190,7 @@ def corrected(p, x, own, value, followed, skipped):
 
 @nested
 def answer(laws, arrays, value, wanted, force):
-    """Return the command [m] for the displacement ``value`` [m] without offset; if it is NaN, the law predicts it.
+    """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a ``value`` of NaN.
 
     ``force`` is the measured force [N].
     """
@@ -233,7 +235,7 @@ def control(laws, arrays, row):
     if own_p[quieting.ON_PULSE] != 0.0 and row[at.TRIGGER_IN] > 0.0:
         begin_quiet(own_p, own, own_p[quieting.ON_PULSE])
     own[FORCE] = row[at.FORCE]
-    # without its damping, a loop designed for the damped stage must stay open
+    # a loop that is designed for the damped stage must stay open while the damping has no force
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
     missing = 1.0 if unforced else row[at.SKIPPED]
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
@@ -302,8 +304,8 @@ def carried_out(arrays, applied):
 class ControllerPart:
     """Feedforward, controller and bumpless transfer of an axis, with their monitoring.
 
-    The preload's offset is subtracted from the measurement before the laws receive it. They treat a change of the
-    offset as a motion, and their integrated states stay valid.
+    The preload's offset is subtracted from the measurement before the control laws receive the measurement. The laws
+    treat a change of the offset as a motion, so their integrated states stay valid.
     """
 
     def __init__(self, parameters: ControllerNodeParameters):
@@ -339,7 +341,7 @@ class ControllerPart:
         own[NEEDS_FORCE] = parameters.damping.source == BY_FORCE
         rate, given = parameters.sample_rate, parameters.quiet
         own[quieting.AVERAGED] = max(samples_of(given.average, rate), 2.0)
-        # between nodes a pulse is a message to this node, and a change of the log
+        # separate nodes receive a pulse as a message, and the change log contains it
         pulsed = parameters.time_mode == "fused" and given.on_trigger > 0.0
         own[quieting.ON_PULSE] = samples_of(given.on_trigger, rate) if pulsed else 0.0
 
@@ -397,7 +399,7 @@ class ControllerPart:
         self._watch_x.own[RETURNING] = 1.0
 
     def quiet(self, duration: float) -> None:
-        """Let the command stand still for ``duration`` [s], after ``quiet.average``; 0 ends a quiet hold."""
+        """Hold the command constant for ``duration`` [s], beginning after ``quiet.average``; 0 ends a quiet hold."""
         quieting.require_numbers(duration)
         if self.parameters.use_origin:
             remedy = "an inchworm motor is quiet when its clamps hold it: stop the sequencer instead"
@@ -464,7 +466,7 @@ class ControllerPart:
             raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
-        """Refuse another type of damping when the order of observer or inverse dynamics depends on the present type."""
+        """Refuse a change of the damping's type when the order of observer or inverse dynamics depends on the type."""
         given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"

@@ -9,10 +9,10 @@
 
 """A device that replaces the simulated plant, accessed from Python or by functions that machine code calls.
 
-Functions of a driver in C do not need Python's lock and allocate no memory; those of a driver in Python call its
-methods. The voltages are monitored as those of the
-simulated plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it
-is made safe immediately and not used until the axis is started again.
+The functions of a driver in C do not need Python's lock and allocate no memory; for a driver in Python, the functions
+call the methods of the driver. The voltages are monitored like those of the simulated plant. A device that returns an
+error, or a position that is not a number, stops the axis in that sample: the device is made safe immediately, and is
+not used until the axis is started again.
 
 The limits are those of the parameter file, which must lie within the device's range.
 """
@@ -62,9 +62,9 @@ from hysteresis_ros.models.calibration import (
 )
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
-# Link to the device, int64: the addresses of its functions, of the device and of this array itself; those of the clock,
-# of triggers and of the trigger input are 0 if they are not used. In a copy of the arrays SELF no longer matches, so a
-# copy never accesses the device.
+# Link to the device, int64: the addresses of its functions, of the device and of this array itself. The addresses of
+# the functions for clock, triggers and trigger input are 0 if these are not used. In a copy of the arrays SELF no
+# longer matches, so a copy never accesses the device.
 READ, WRITE, MAKE_SAFE, DEVICE, SELF, CLOCK, TRIGGER, PULSES = range(8)
 LINKS = 8
 
@@ -74,7 +74,7 @@ ANSWERS = 3
 #: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan, a trigger, the
 #: trigger input.
 NOTHING, READING, WRITING, NONSENSE, CLOCKING, TRIGGERING, PULSING = range(7)
-#: Functions that are impossible after these failures.
+#: What the device could not do in these failures, for messages.
 _DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
 _DEEDS |= {TRIGGERING: "output a trigger", PULSING: "read its trigger input"}
 
@@ -118,7 +118,7 @@ if COMPILED:
     from llvmlite import ir
     from numba import extending, types
 
-    #: Numba passes the typing context; callers pass only the other arguments.
+    #: Decorator for which Numba passes the typing context; callers pass only the other arguments.
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int, numbers: int = 0, reals: int = 0) -> Any:
@@ -199,7 +199,7 @@ else:
 
 @nested
 def is_linked(link):
-    """Tell whether these arrays are linked to a device."""
+    """Tell whether a link array belongs to a device and is not a copy."""
     return link[SELF] != 0 and link[SELF] == link.ctypes.data
 
 
@@ -224,14 +224,14 @@ def fail_device(arrays, failed, code):
 
 @nested
 def output_of_device(arrays):
-    """Return the voltage [V] at the output, also of a device that could not be made safe."""
+    """Return the output voltage [V], which is not the safe one if the device could not be made safe."""
     left = arrays.watch_x.trip[TRIP] == DEVICE_FAILED and arrays.answer[SAFE_CODE] != 0
     return arrays.left[0] if left else arrays.limits_x[OUTPUT]
 
 
 @nested
 def read_device(arrays):
-    """Return the measurement [m] of the device; NaN if there is no new one."""
+    """Return the measurement [m] of the device; NaN if there is no new measurement."""
     code = call_with(arrays.link, READ, arrays.positions)
     reading = arrays.positions[0]
     if code == NOTHING_NEW:
@@ -247,7 +247,7 @@ def read_device(arrays):
 
 @nested
 def take_pulses(arrays, row):
-    """Add the pulses at the trigger input of the device to those of the sample."""
+    """Add the pulses at the device's trigger input to the pulses of the sample."""
     if arrays.link[PULSES] != 0 and arrays.watch_x.trip[TRIP] != DEVICE_FAILED:
         code = call_with(arrays.link, PULSES, arrays.pulses)
         if code != 0:
@@ -267,7 +267,7 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read the device; in a repeated run the row already has its readings, and its voltage if it has failed."""
+    """Read the device; in a repeated run the row already contains the readings, and the voltage of a failed device."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
     recorded = row[at.PLANT_VOLTAGE]
@@ -292,7 +292,7 @@ def sense_device(laws, arrays, row):
 
 @nested
 def output_events(arrays, row):
-    """Output the scan edges of this sample, and its trigger, if the device has to make them."""
+    """Output the scan edges and the trigger of this sample, if the device must output them."""
     if row[at.SCAN_EDGES] != 0.0 and arrays.link[CLOCK] != 0 and is_linked(arrays.link):
         code = call_number(arrays.link, CLOCK, row[at.SCAN_EDGES])
         if code != 0:
@@ -308,8 +308,8 @@ def output_events(arrays, row):
 def actuate_device(laws, arrays, row):
     """Output the voltage of the row after monitoring.
 
-    In a skipped sample no voltage is written: the device holds it, even on the way to or from the safe voltage. The
-    clock of a scan and triggers are output nevertheless, so that their numbers stay true.
+    In a skipped sample no voltage is written: the device holds the last voltage, even on the way to or from the safe
+    voltage. The clock of a scan and triggers are output nevertheless, so that the number of their pulses stays correct.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -346,10 +346,10 @@ INSIST = 1.0
 
 
 class DrivenPlant(Plant):
-    """One actuator that is a device, driven from Python.
+    """A device with one actuator, driven from Python.
 
     After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``. ``travel`` [m] is the
-    allowed range of the measurement; by default that of a single axis with its model.
+    allowed range of the measurement; by default that of a single axis, from the model in the parameter file.
     """
 
     #: Samples of this plant are not compiled.
@@ -389,7 +389,7 @@ class DrivenPlant(Plant):
                 raise
 
     def _compared(self) -> tuple[list[float], list[float]]:
-        """Return the positions of the triggers in the units of the device, those up and those down in its direction."""
+        """Return the trigger positions for upward and downward motion, in the units and the direction of the device."""
         given, sensor = self.parameters.triggers, self.parameters.calibration.sensor
         up, down = (sorted(map(self.sensor.reading, positions)) for positions in (given.up, given.down))
         return (up, down) if sensor.sign > 0 else (down, up)
@@ -435,7 +435,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
 
     def _require_triggers(self, can: Capabilities, device: str) -> None:
-        """Raise a DriverError unless the device makes the triggers of the axis and has its trigger input."""
+        """Raise a DriverError unless the device can output the triggers of the axis and has its trigger input."""
         parameters = self.parameters
         given = parameters.triggers
         if parameters.trigger_input and not can.trigger_input:
@@ -514,7 +514,7 @@ class DrivenPlant(Plant):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row; NaN if there is no new one."""
+        """Read the position into the row; NaN if there is no new position."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -537,7 +537,7 @@ class DrivenPlant(Plant):
 
     @property
     def _output(self) -> float:
-        """Voltage [V] at the output, also of a device that could not be made safe."""
+        """Output voltage [V], which is not the safe one if the device could not be made safe."""
         return self._left_at if self._left else float(self.limits.x[OUTPUT])
 
     def output_clock(self, edges: at.Edge) -> None:
@@ -597,7 +597,7 @@ class DrivenPlant(Plant):
     def _try_device(self, left: bool) -> None:
         """Read and write the device once at its safe voltage, so that a start reports a device that still fails.
 
-        A device that was left at another voltage is made safe first; otherwise its first voltage would be a step.
+        A device that was left at another voltage is made safe first; otherwise its output would step.
         """
         try:
             if left:
@@ -608,7 +608,7 @@ class DrivenPlant(Plant):
             self._fail(error)
 
     def reset(self) -> None:
-        """Restart at the device's present voltage, which slews to the safe voltage and then to the received voltage."""
+        """Restart at the device's present voltage; the output slews to the safe, then to the received voltage."""
         self._acknowledge()
         held = self.held()
         super().reset()
@@ -664,7 +664,7 @@ class DrivenPlant(Plant):
         return True
 
     def refresh(self) -> None:
-        """Output the voltage again, for the device's watchdog."""
+        """Output the voltage again, so that the device's watchdog does not act."""
         if not self._failure:
             try:
                 self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
@@ -720,7 +720,7 @@ def plant_of(parameters: PlantNodeParameters, travel: Sequence[float] | None = N
 
 
 class CompiledPlant(DrivenPlant):
-    """One actuator that is a device, read and written by machine code."""
+    """A device with one actuator, read and written by machine code."""
 
     # placeholders for the kernels of a simulated plant
     kernels = limits, limits, limits
@@ -792,14 +792,15 @@ class CompiledPlant(DrivenPlant):
         self.arrays.answer[SAFE_CODE] = 0
 
     def recover(self) -> bool:
-        """Make a device safe that was left at another voltage: otherwise its first voltage after a start is a step.
+        """Make a device safe that was left at another voltage, whose output would step at the next start.
 
-        Returns whether it was left. The loop does not call a device that has failed, so this may be another thread.
+        Returns whether the device was left at another voltage. Any thread may call this method, because the loop does
+        not call a device that has failed.
 
         Raises
         ------
         DriverError
-            It still cannot be made safe.
+            The device still cannot be made safe.
         """
         if not self._linked or not self._is_left():
             return False

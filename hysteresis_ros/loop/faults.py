@@ -9,9 +9,9 @@
 
 """Fault injection: replaces the inputs of the parts of the loop.
 
-A fault has a name, a start and a duration in seconds of the axis' own time, and a value if it needs one, written
-``NAME:START:DURATION[:VALUE]``. It is in the parameters of the axis (``faults``, under ``/**``), so nodes, offline
-twin and recording know it: a run with faults can be repeated bit for bit like any other.
+A fault has a name, a start and a duration in seconds of the axis' own time, and, for some kinds, a value, written
+``NAME:START:DURATION[:VALUE]``. Faults are parameters of the axis (``faults``, under ``/**``), so nodes, offline twin
+and recording know them: a run with faults can be repeated bit for bit like any other.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a run; ``str`` writes it as the commands and parameter files do, ``NAME:START:DURATION[:VALUE]``.
+    """One fault of a run; ``str`` returns its form in commands and parameter files, ``NAME:START:DURATION[:VALUE]``.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Fault:
 
     @property
     def amount(self) -> float:
-        """Value in the unit of the fault; 0 if it has none."""
+        """Value in the unit of the fault; 0 if the fault has no value."""
         return self.value or 0.0
 
     def __str__(self) -> str:
@@ -285,5 +285,5 @@ def corrupt(p, x, target, value):
 
 @nested
 def given_instead(p, x, target, value):
-    """Return the result of :func:`corrupt`, or the value itself without faults, which saves a call from Python."""
+    """Return the result of :func:`corrupt`; without faults return the value itself, which saves a call from Python."""
     return value if p[COUNT] == 0.0 else corrupt(p, x, target, value)

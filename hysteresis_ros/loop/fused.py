@@ -9,10 +9,11 @@
 
 """The fused runner: one compiled thread runs an axis or a stage against absolute deadlines.
 
-Other threads control it: the compiled code applies setpoints, starts and stops at the boundary of a sample; for other
-changes it pauses between two samples while the calling thread makes them. Every change is logged with its sample, so an
-:class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits, and so
-does a :class:`~hysteresis_ros.loop.stage.Stage`. All axes of a stage have one clock and skip the same samples.
+Other threads control the loop: the compiled code applies setpoints, starts and stops at the boundary of a sample. For
+other changes the loop pauses between two samples while the calling thread makes them. Every change is logged with its
+sample, so an :class:`~hysteresis_ros.loop.axis.Axis` or a :class:`~hysteresis_ros.loop.stage.Stage` with the same
+setpoints, changes and skipped samples gives the same bits. All axes of a stage have one clock and skip the same
+samples.
 """
 
 from __future__ import annotations
@@ -101,9 +102,9 @@ def has_priority() -> bool:
 
 #: Longest time ahead of a deadline that is chosen automatically [ns].
 LONGEST_SPIN = 100_000
-#: Name of the claims to a core for polling the clock, one for each core but the last; known to all processes.
+#: Name of the claims to a core for polling the clock, one for each core but the last; all processes use this name.
 CLAIM = "hysteresis_ros/looks"
-#: The largest wake-up latency [µs] written to this file limits the sleep states of the processor while it is open.
+#: While this file is open, the largest wake-up latency [µs] written to it limits the sleep states of the processor.
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
 
@@ -129,7 +130,7 @@ def claim_of_a_core() -> socket.socket | None:
 
 
 def require_spin(spin: float) -> None:
-    """Refuse a time [s] of polling the clock when the loop would take the core that the nodes need."""
+    """Refuse polling of the clock for ``spin`` [s] when the loop would take the core that the nodes need."""
     if spin <= 0.0:
         return
     what = f"realtime.spin = {spin:g} s"
@@ -155,7 +156,7 @@ def require_spin(spin: float) -> None:
 
 @contextlib.contextmanager
 def shallow_sleep():
-    """Keep the processor out of deep sleep states, which it leaves slowly; return whether this is permitted."""
+    """Keep the processor out of deep sleep states, from which it wakes slowly; return whether this is permitted."""
     with contextlib.ExitStack() as stack:
         held = None
         with contextlib.suppress(OSError):
@@ -206,14 +207,14 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or "this system does not support it"
 
 
-#: Sample rate that the loop sustains without Numba [Hz]: a sample takes up to 0.4 ms (of a motor), and another thread
-#: of Python may hold the interpreter for 5 ms, one period.
+#: Sample rate that the loop sustains without Numba [Hz]: a sample of a motor takes up to 0.4 ms, and another thread of
+#: Python may hold the interpreter for 5 ms, which is one period.
 INTERPRETED_RATE = 200.0
 #: Time for which samples are kept for readers [s], and smallest and largest number of kept samples.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
-#: Polling interval for an accepted request [s].
+#: Interval at which the loop's acceptance of a request is polled [s].
 LOOK = 2e-4
 #: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks, which may take
 #: 5 ms if another thread runs.
@@ -265,8 +266,8 @@ def machine(axis: Axis | Stage, own: Pace):
 class FusedLoop:
     """Runs an axis, or all axes of a stage, in a thread of its own.
 
-    All methods may be called from any thread. While it runs, nothing else may run or change the axis. Methods that
-    concern one axis of a stage take its index among the axes (``place``); a single axis has index 0.
+    All methods may be called from any thread. While the loop runs, nothing else may run or change the axis. Methods
+    that concern one axis of a stage take its index among the axes (``place``); a single axis has index 0.
     """
 
     def __init__(
@@ -363,7 +364,7 @@ class FusedLoop:
 
     @contextlib.contextmanager
     def _ahead(self):
-        """Let the thread poll the clock ahead of deadlines, as its parameters say and the machine permits."""
+        """Let the thread poll the clock ahead of deadlines, as the parameters require and the machine permits."""
         state, spin = self._state, self._realtime.spin
         state[at.AHEAD] = state[at.MOST_AHEAD] = 0
         automatic = spin < 0.0 and COMPILED and has_priority()
@@ -402,7 +403,7 @@ class FusedLoop:
             run(*arguments)
             if not state[at.LEAVE] or self._ending:
                 return
-            state[at.LEAVE] = 0  # these parts have been replaced since the change
+            state[at.LEAVE] = 0  # the loop continues, with the replaced parts
 
     # -- requests and changes --------------------------------------------------------------------------------------
 
@@ -452,7 +453,7 @@ class FusedLoop:
         return sample
 
     def _post(self, given: Mapping[int, Mapping[int, float | None]]) -> None:
-        """Post requests to axes; each value is followed by the number of times that it has been set."""
+        """Post requests to axes; each value in a post is followed by the number of times that it has been set."""
         asked = self._asked
         with self._posting:
             for place, values in given.items():
@@ -467,7 +468,7 @@ class FusedLoop:
             self._state[at.POSTED] = number
 
     def _switch(self, codes: Mapping[int, int]) -> int | None:
-        """Start or stop parts; return the sample, None when the thread ended before."""
+        """Start or stop parts; return the first sample affected, or None if the thread ended before."""
         self._post({place: {at.POST_SWITCH: code} for place, code in codes.items()})
         counts, places = self._own.counts, list(codes)
         wanted = self._asked[places, at.POST_SWITCHES]
@@ -505,14 +506,14 @@ class FusedLoop:
         try:
             part.retune(parameters)
         except Exception:
-            # the copy was changed, so it must be made equal to the axis again
+            # the copy already has the change, so it must be made equal to the axis again
             with contextlib.suppress(ParameterError):
                 self._double.axes[place].by_node[node].retune(part.parameters)
             raise
 
     @contextlib.contextmanager
     def _between_samples(self):
-        """Pause the loop between two samples, at nearly its priority."""
+        """Pause the loop between two samples; the calling thread meanwhile runs at nearly the priority of the loop."""
         state = self._state
         wanted = int(state[at.PAUSE]) + 1
         with boosted(self._realtime), undisturbed():
@@ -537,7 +538,7 @@ class FusedLoop:
     def _rehearse(self, place: int, change: Change | None) -> Parameters | None:
         """Apply a change to a copy of the axis and run it, so that errors and compilation occur here, not in the loop.
 
-        Returns the new parameters of the part, checked.
+        Returns the new, checked parameters of the part.
         """
         double = self._double
         _copy_states(self.axis.parts, double.parts)
@@ -631,8 +632,8 @@ class Trial(NamedTuple):
     """Result of a trial of the loop at a rate."""
 
     rate: float  #: Samples per second [Hz].
-    lateness: Lateness  #: Lateness of its samples, and the number of skipped ones.
-    warning: str  #: Requests that the operating system refused; empty when it granted all.
+    lateness: Lateness  #: Lateness of the samples, and number of skipped samples.
+    warning: str  #: Requests that the operating system refused; empty if there are none.
 
     @property
     def is_held(self) -> bool:
@@ -664,7 +665,7 @@ def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
 
 
 def tick_cost(parameters: AxisParameters | StageParameters) -> float:
-    """Return the least computing time of a sample of an axis or a stage on this machine [s], with simulated plants."""
+    """Return the least computing time of a sample [s] of an axis or a stage with simulated plants on this machine."""
     axis = at_rest(parameters)
     found = []
     for _ in range(BATCHES):

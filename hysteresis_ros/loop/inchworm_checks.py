@@ -31,8 +31,8 @@ CROSSOVER_PART = 0.25
 def inchworm_problems(plant, parts):
     """Yield a Problem for each parameter of the gait that does not fit the other nodes.
 
-    These are: clamps too slow for the gait, voltages beyond the clamps' amplifiers, extensions beyond the range of the
-    compensator, travel beyond the end stops.
+    The problems are: clamps too slow for the gait, voltages beyond the range of the clamps' amplifiers, extensions
+    beyond the range of the compensator, travel beyond the end stops.
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
@@ -74,7 +74,7 @@ def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
-    """Return a warning when ``crossovers`` [Hz] of a design reach the slider's resonance, which its model lacks."""
+    """Return a warning when ``crossovers`` [Hz] of a design reach the slider's resonance, which is not in the model."""
     frequency = 1.0 / _swing(plant.inchworm)
     highest = max(crossovers, default=0.0)
     if highest <= CROSSOVER_PART * frequency:
@@ -92,7 +92,7 @@ def _swing(motor) -> float:
 
 
 def _walking_doubts(plant, walk):
-    """Yield warnings where the motor violates assumptions of continuous walking over the phase."""
+    """Yield a warning for each assumption of continuous walking over the phase that the motor violates."""
     if not walk.continuous:
         return
     motor = plant.inchworm

@@ -9,15 +9,15 @@
 
 """The compiled loop of the fused runner: absolute deadlines, start and stop requests, the ring of finished samples.
 
-It computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests, inputs
-and the ring have an entry for each axis.
+The loop computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests,
+inputs and the ring have an entry for each axis.
 
-Starts and stops of the parts are made here, as *switches* between two samples; every other change is made in Python
+Parts are started and stopped here, by *switches* between two samples; every other change is made in Python
 (:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch has the same effect as the methods ``start``, ``stop``,
 ``halt`` and ``hold`` of a part.
 
-A sample that would begin a whole period or more after its deadline is skipped: there is no measurement and no command,
-the voltage is held, and time advances. So a missed deadline is never followed by a burst of late outputs.
+A sample that would begin a whole period or more after its deadline is skipped: it has no measurement and no command,
+and the voltage is held. So a missed deadline is never followed by a burst of late outputs.
 
 An idle core takes some 10 µs to wake. So the thread sleeps only until a time *ahead* of the deadline, and then
 polls the clock until the deadline. The time ahead is fixed, or it follows the wake-up times of this machine.
@@ -62,7 +62,7 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return node and action of each part that a code switches; a motor's sequencer gets a stop request instead."""
+    """Return node and action of each part that a code switches, except a sequencer, which gets a stop request."""
     codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
     return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 
@@ -102,7 +102,7 @@ class Alone(NamedTuple):
 
 
 class Together(NamedTuple):
-    """The object that the loop runs: the axes of a stage."""
+    """The object that the loop runs: all axes of a stage."""
 
     laws: Any  #: Tuple of the laws of each axis.
     parts: Any  #: Tuple of the parts of each axis.
@@ -118,8 +118,8 @@ class Pace(NamedTuple):
     counts: np.ndarray
     #: Indices of the inputs in a row.
     given: np.ndarray
-    #: The row of the sample, which first contains the inputs of the parts, and after it the switches to make before the
-    #: sample, shape (axes, row length + MOST_SWITCHES, 1).
+    #: The row of the sample with the inputs of the parts, followed by the switches to make before the sample, shape
+    #: (axes, row length + MOST_SWITCHES, 1).
     column: np.ndarray
     #: Rows that the parts work on, shape (axes, row length).
     row: np.ndarray
@@ -131,7 +131,7 @@ class Pace(NamedTuple):
     events: np.ndarray
     #: Histogram of the lateness, int64, shape (BINS,).
     histogram: np.ndarray
-    #: Rows of the last samples, shape (N, axes, row length), and the time each began [ns], int64, shape (N,).
+    #: Rows of the last samples, shape (N, axes, row length), and the time at which each began [ns], int64, shape (N,).
     rows: np.ndarray
     times: np.ndarray
     #: Contents of ``joint_states`` of a motor, shape (N, JOINTS).
@@ -173,20 +173,20 @@ MOST_SWITCHES = 2
 #: Capacity for posts and events, far more than occur within a sample.
 POSTS, EVENTS = 64, 1024
 
-#: Lateness of the first bin [ns], number of bins, and bins per factor e.
+#: Lateness of the first bin [ns], number of bins, and number of bins per factor e of the lateness.
 LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
-#: Longest uninterrupted wait [ns], which is the largest delay of a request to end.
+#: Longest uninterrupted wait [ns]; a request to end the loop is delayed by at most this time.
 PIECE = 50_000_000
-#: Step up of the estimate at a longer wake-up time, and step down at a shorter one [ns]. The estimate settles where
-#: both balance, at the 98 % quantile, and follows a change of 10 µs within some 200 long wake-ups.
+#: Step up of the estimated wake-up time after a longer one, and step down after a shorter one [ns]. The estimate
+#: settles at the 98 % quantile, where both steps balance, and follows a change of 10 µs within some 200 long wake-ups.
 LONGER, SHORTER = 49, 1
 #: First estimate of the wake-up time [ns].
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: The loop waits for readers after it has skipped a ring length divided by ``CATCH_UP`` in a row; duration of this wait
-#: [ns].
+#: After the loop has skipped (ring length / ``CATCH_UP``) samples in a row, it waits for the readers; duration of this
+#: wait [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
@@ -235,7 +235,7 @@ def deadline_of(state):
 
 @nested
 def pause(state, timespec):
-    """Pause between two samples while another thread changes the parts; return the time [ns]."""
+    """Pause between two samples while another thread changes the parts; return the present time [ns]."""
     state[PAUSED] = state[PAUSE]
     now = clock(timespec)
     while state[RESUMED] != state[PAUSED]:
@@ -246,7 +246,7 @@ def pause(state, timespec):
 
 @nested
 def note_wake(state, late):
-    """Let the time ahead follow a wake-up that came ``late`` [ns] after its instant."""
+    """Adapt the time ahead to a wake-up that came ``late`` [ns] after the requested instant."""
     if state[MOST_AHEAD] == 0:
         return
     state[WAKE] = max(state[WAKE] + (LONGER if late > state[WAKE] else -SHORTER), 0)
@@ -257,7 +257,7 @@ def note_wake(state, late):
 
 @nested
 def await_deadline(state, timespec, deadline):
-    """Wait for a deadline [ns], or until a pause or the end is requested; return the time [ns]."""
+    """Wait for a deadline [ns], or until a pause or the end is requested; return the present time [ns]."""
     now = clock(timespec)
     edge = deadline - state[AHEAD]
     while now < edge and state[LEAVE] == 0 and state[PAUSE] == state[RESUMED]:
@@ -284,7 +284,7 @@ def note_lateness(state, histogram, late):
 
 @nested
 def take_setpoint(own, i):
-    """Write a new setpoint of the schedule into the column of an axis that has not received a setpoint yet."""
+    """Write a new setpoint of the schedule into an axis' column, unless the axis has already received a setpoint."""
     counts, schedule = own.counts[i], own.schedule
     index = counts[SCHEDULED]
     while counts[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= own.state[SAMPLE]:
@@ -296,7 +296,7 @@ def take_setpoint(own, i):
 
 @nested
 def take_post(own, i, motor):
-    """Read all requests to an axis since the last sample; write the switches to make after its row.
+    """Read all requests to an axis since the last sample; write the switches to make behind its row in the column.
 
     Several posts between two samples act as one post, because each contains all requests until then. The table of a
     post is complete before its number is written, and it is overwritten POSTS posts later.
@@ -418,7 +418,7 @@ def pace(step, part, own, motor):
     axes = own.column.shape[0]
     now = clock(timespec)
     if state[ORIGIN] == 0:
-        # the call itself takes milliseconds for the arrays of a stage, so the clock starts within it
+        # the call of this function takes milliseconds for the arrays of a stage, so the time starts inside the function
         state[ORIGIN] = now + LEAD - deadline_of(state)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
         if state[PAUSE] != state[RESUMED]:
@@ -460,7 +460,7 @@ def pace(step, part, own, motor):
         state[AT_WORK] = 0
         state[BUSY] += spent
         state[BUSIEST] = max(state[BUSIEST], spent)
-        # after a call that is opaque to the compiler, so that the store is not moved before the row is complete
+        # this follows a call that is opaque to the compiler, so the store is not moved before the row is complete
         state[HEAD] += 1
         state[SAMPLE] += 1
         if state[IN_ROW] * CATCH_UP >= own.rows.shape[0]:
@@ -509,7 +509,7 @@ class Reader:
         self._next = int(own.state[HEAD])
 
     def take(self, until: int | None = None) -> Samples:
-        """Return all samples since the last call, or those before number ``until``; may be empty."""
+        """Return all samples since the last call, or only those before number ``until``; there may be none."""
         state, rows = self._own.state, self._own.rows
         size = len(rows)
         head = int(state[HEAD])
@@ -519,7 +519,7 @@ class Reader:
         places = np.arange(first, head) % size
         table, times = np.ascontiguousarray(rows[places, self._axis].T), self._own.times[places] + self._offset()
         joints = np.ascontiguousarray(self._own.joints[places].T) if self._own.joints.shape[1] else None
-        # drop samples that were overwritten during the copy; the next sample may be partly in the ring already
+        # drop samples that were overwritten during the copy; a part of the next sample may already be in the ring
         whole = min(max(first, int(state[HEAD]) + 1 - size), head)
         lost, self._next = whole - self._next, head
         begin = int(state[FIRST])

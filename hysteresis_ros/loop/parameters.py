@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameters of an axis: those of each of its nodes, read from a configuration and checked against each other.
+"""Parameters of an axis: the parameters of each node, read from a configuration and checked against each other.
 
-They are here and not in the nodes, because the offline twin reads the same files.
+The parameters are here and not in the nodes, because the offline twin reads the same files.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class NodeParameters(Parameters):
 
 
 def part(parameters: Parameters, cls):
-    """Return the block's own parameters from the parameters of its node; always the same instance of ``cls``."""
+    """Return the parameters of class ``cls`` that a node's parameters contain; each call returns the same instance."""
     kept = parameters.__dict__.setdefault("_parts", {})
     if cls not in kept:
         kept[cls] = cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
@@ -146,8 +146,8 @@ def part(parameters: Parameters, cls):
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
-#: Largest fraction of a period for which a fused loop may poll the clock. Linux needs some time on each core: from
-#: about 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
+#: Largest fraction of a period for which a fused loop may poll the clock. Linux needs some time on each core: at
+#: fractions from about 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
 SPIN_PART = 0.6
 
 
@@ -296,7 +296,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 
     @property
     def allowed_travel(self) -> tuple[float, float]:
-        """Allowed range of the measurement [m]: the static range of the actuator's model, and ``overtravel`` beyond."""
+        """Allowed range of the measurement [m]: the static range of the actuator's model plus ``overtravel``."""
         if self.overtravel < 0.0:
             return -math.inf, math.inf
         low, high = resting_displacements(part(self, ActuatorParameters), 1.0 / self.sample_rate)
@@ -327,7 +327,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         except DriverError as error:
             yield Problem("driver", self.driver, str(error))
         except ParameterError as error:
-            # those of the registry are in the table and have been checked
+            # the drivers of the registry are in the table, and their parameters have been checked
             yield from error.problems if self.driver not in DRIVERS else ()
 
     def _amplifier_problems(self):
@@ -453,7 +453,7 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
         return self.approach.maximum_velocity or (self.maximum - self.minimum) * self.sample_rate
 
     def trigger_problems(self):
-        """Yield a Problem for each trigger that the axis cannot make; on a stage its waveform may be a scan."""
+        """Yield a Problem for each trigger that the axis cannot output; on a stage the waveform may be a scan."""
         if self.triggers.makes_events:
             span, step = self.maximum - self.minimum, 1.0 / self.sample_rate
             yield from trigger_problems(
@@ -493,7 +493,7 @@ class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameter
         return self.walk.fastest(self.gait) if self.walk.continuous else self.gait.speed
 
     def trigger_problems(self):
-        """Yield a Problem for each trigger that the motor cannot make."""
+        """Yield a Problem for each trigger that the motor cannot output."""
         if self.triggers.makes_events:
             path, given = self.fastest / self.sample_rate, (self.triggers, self.minimum, self.maximum)
             yield from trigger_problems(*given, self.sample_rate, lambda: (path, "the gait"))
@@ -673,9 +673,10 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 
 
 #: Sample rate in wall-clock time [Hz] up to which nodes that exchange messages are almost always in time (0.25 % of the
-#: voltages late, docs/real_time.md), and the rate above which such a loop is refused (at 1 kHz 3 to 12 % are late).
+#: voltages are late, docs/real_time.md); and the rate above which such a loop is refused (at 1 kHz, 3 to 12 % of the
+#: voltages are late).
 MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
-#: Maximum number of samples of a run: above it a counter in double precision is no longer exact.
+#: Maximum number of samples of a run; a counter in double precision is not exact for more samples.
 COUNTABLE = 2.0**53
 
 
@@ -746,7 +747,7 @@ TIMEOUTS = {
 
 
 def _device_trigger_problems(plant, name: str, source, controller):
-    """Yield a Problem unless the source has the triggers that the plant's device makes, and acts on its input."""
+    """Yield a Problem unless the source has the triggers that the device outputs, and acts on its trigger input."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
         remedy = f"differ from those of the {name}: remove them here; the values of the {name} are then used"
         yield Problem("plant_simulator: triggers", name, remedy)
@@ -777,7 +778,7 @@ def _fault_problems(plant, motor: bool):
 
 
 def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
-    """Return the parameters of a controller with commands limited to a stroke beyond the compensator's range."""
+    """Return a controller's parameters; its commands may exceed the compensator's range by one stroke."""
     if controller.command_minimum != controller.command_maximum:
         return controller
     amplifiers = () if plant.external_plant else (plant.limits,)
@@ -809,7 +810,7 @@ class AxisParameters:
     def from_configuration(
         cls, configuration: Configuration, namespace: str = "", coupled: bool = False
     ) -> AxisParameters:
-        """Read one axis from a configuration; ``coupled``: an axis of a stage, whose plant it shares with others."""
+        """Read one axis from a configuration; ``coupled``: the axis shares the plant of a stage with other axes."""
         namespace = normalised_namespace(namespace)
         if not coupled:
             configuration.require_independent()
@@ -840,7 +841,7 @@ class AxisParameters:
     def of_nodes(
         cls, namespace: str, parts: Mapping[str, NodeParameters | None], coupled: bool = False
     ) -> AxisParameters:
-        """Combine the parameters of nodes; the stage of ``coupled`` axes checks their triggers when it has its scan."""
+        """Combine the parameters of nodes; a stage checks the triggers of ``coupled`` axes later, with its scan."""
         absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
         found: dict[str, Any] = {**absent, **parts}  # one instance of each class in NODE_PARAMETERS
         problems: list[Problem] = []
@@ -927,7 +928,7 @@ class AxisParameters:
         return self.displacement_camera
 
     def with_recorder(self, path: str) -> AxisParameters:
-        """Return the same axis, set to begin only when its recorder is running."""
+        """Return the same axis with a recorder; its run begins only when the recorder is running."""
         plant, source = self.plant_simulator, self.reference_generator
         return replace(
             self,
@@ -944,7 +945,7 @@ class AxisParameters:
     def timeouts(self, travel: tuple[float, float] | None = None) -> list[str]:
         """Return a line for each time-out: its name, its length in seconds and samples, and its effect.
 
-        ``travel`` is the allowed range of the measurement [m] of an axis of a stage, which depends on the other axes.
+        On a stage, ``travel`` is the axis' allowed range of the measurement [m], which depends on the other axes.
         """
         rate, external = self.plant_simulator.sample_rate, self.plant_simulator.external_plant
         lines = []
@@ -979,7 +980,7 @@ class AxisParameters:
             if getattr(self, name) is None:
                 continue
             values = getattr(self, name).to_mapping()
-            # empty arrays are left out: ROS has no type for them, and their default is empty
+            # empty arrays are left out, because ROS has no type for them and the default of such parameters is empty
             nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
         return dump_configuration(nodes)
 
@@ -994,7 +995,7 @@ def require_carried(axis: AxisParameters) -> None:
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis, in fused mode if messages between its nodes are too slow for its rate in real time."""
+    """Return the axis; in real time, if messages between its nodes are too slow for its rate, in fused mode."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
         return axis

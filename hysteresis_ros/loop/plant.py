@@ -9,15 +9,18 @@
 
 """The plant as a part of the loop: an actuator, with or without a camera, or an inchworm motor, and its monitoring.
 
-A voltage that is not received in time is late: the last one is held, and the sample is counted. After
-``voltage_timeout`` without a voltage, the output goes to its safe value; when voltages arrive again, it returns without
-a jump. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed: the
-plant *trips*, goes to its safe voltage and stops the axis until it is started again. It also trips when an actuator is
-measured far beyond its static range, which only an unstable loop can reach.
+A voltage that is not received in time is late: the last voltage is held, and the sample is counted. After
+``voltage_timeout`` without a voltage, the output goes to its safe value; when voltages arrive again, the output returns
+without a jump. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed:
+the plant *trips*. It goes to its safe voltage and stops the axis until the axis is started again. The plant also trips
+when an actuator's measurement is far beyond its static range, where only an unstable loop can move it.
 
-A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in
-which it is made; between nodes, frames are messages. Both run in Python, because a frame takes a thousand times as long
-as any other sample.
+A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in which it
+is made; between nodes, frames are messages. Both run in Python, because a sample with a frame takes a thousand times as
+long as any other sample.
+
+On a stage, all axes stop when the plant of one axis trips. :func:`hysteresis_ros.loop.stage.stage_ticks` applies this
+rule in the compiled loop, and :mod:`hysteresis_ros.nodes.stage` applies it between nodes.
 """
 
 from __future__ import annotations
@@ -115,8 +118,8 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 
-# Parameters of the trip: allowed number of late voltages (0: no limit), and the number that each sample subtracts from
-# the count; allowed range of the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
+# Parameters of the trip: allowed number of late voltages (0: no limit); number by which each sample decreases the count
+# of late voltages; allowed range of the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
@@ -134,7 +137,7 @@ TRIP_STATES = 5
 
 @kernel
 def watch(p, x, late, measured):
-    """Count a sample whose voltage was late (1) or not (0); trip on too many, or on a measurement out of range.
+    """Count a sample whose voltage was late (1) or not (0); trip on too many late voltages, or on excessive travel.
 
     An unstable loop oscillates at its resonance, far beyond the range that constant voltages reach.
     """
@@ -149,7 +152,7 @@ def watch(p, x, late, measured):
 
 @kernel
 def is_missing(x, voltage):
-    """Return 1.0 when no voltage was received although one was received before."""
+    """Return 1.0 when no voltage was received in this sample although one was received before; otherwise 0.0."""
     return 1.0 if x[HELD_BEGUN] != 0.0 and voltage - voltage != 0.0 else 0.0
 
 
@@ -167,7 +170,7 @@ def plant_mode(p, x, trip, late):
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
     """Return the output voltage [V] for the received voltage (NaN: none), after all monitoring.
 
-    It is one function, because a node calls it from Python; ``p`` and ``x`` are :class:`PlantWatchArrays`.
+    All of this is one function, because a node calls it from Python.
     """
     late = is_missing(hold_x, voltage)
     watch(trip_p, trip_x, late, measured)
@@ -195,7 +198,7 @@ def sense_actuator(laws, arrays, row):
 
 @nested
 def sent(row, place):
-    """Return one of the voltages of a row [V]; NaN in a skipped sample, whose voltage was never sent."""
+    """Return one of the voltages of a row [V]; NaN in a skipped sample, because its voltage was never sent."""
     return math.nan if row[at.SKIPPED] != 0.0 else row[place]
 
 
@@ -240,8 +243,8 @@ def actuate_motor(laws, arrays, row):
     """Hold three voltages on a motor.
 
     A safe state never opens a clamp, because a free slider would fall. A clamp goes to its initial voltage, or keeps
-    its present voltage when that is higher. The gait always keeps one clamp closed; on the way back from the safe
-    state, a clamp opens only when the other one has the gait's voltage.
+    its present voltage if this is higher. The gait always keeps one clamp closed; on the way back from the safe state,
+    a clamp opens only when the other one has the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -295,8 +298,8 @@ class Plant:
 
     arrays: Any  #: All arrays of the plant in the loop; their class selects the kernel of :data:`sense`.
     kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
-    kind = at.ACTUATOR  #: Kind of its axis.
-    joint_numbers = 0  #: Values of ``joint_states`` that are not in the row.
+    kind = at.ACTUATOR  #: Kind of the axis.
+    joint_numbers = 0  #: Number of values of ``joint_states`` that are not in the row.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -435,7 +438,7 @@ class Plant:
         self.forgive()
 
     def recover(self) -> bool:
-        """Make a device safe before a start, from another thread than that of the loop; return whether it was not."""
+        """Make a device safe before a start, in another thread than the loop; return whether it was not safe."""
         return False
 
     def lose(self, name: str) -> None:
@@ -475,7 +478,7 @@ class Plant:
         raise ParameterError([Problem("driver", "", "a simulated sensor is absolute: there is nothing to home")])
 
     def refresh(self) -> None:
-        """Repeat the output of a device, so that its watchdog does not act in a pause between samples."""
+        """Repeat the output of a device, so that the device's watchdog does not act in a pause between samples."""
 
     def output_clock(self, edges: at.Edge) -> None:
         """Output the scan edges of this sample; a simulated plant has no outputs for them."""
@@ -572,7 +575,7 @@ class MotorPlant(Plant):
 
     @property
     def safe_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] without commands; a clamp keeps its voltage when that is higher."""
+        """Voltages [V] when no commands arrive; a clamp keeps its present voltage if this is higher."""
         motor = self.parameters.inchworm
         return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
 
@@ -616,7 +619,7 @@ class CameraPart:
         self.parameters = parameters
 
     def reset(self) -> None:
-        """Restart with the next frame; a relative position is homed again."""
+        """Restart with the next frame, from which relative positions are counted again."""
         self.tracker.reset()
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -624,7 +627,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant and, where no camera node evaluates its frames, the part that evaluates them."""
+    """The camera of a plant; also the part that evaluates its frames, unless a camera node does so."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera
@@ -632,7 +635,7 @@ class Eye:
         self.frame: np.ndarray | None = None
 
     def look(self, displacement: float) -> float:
-        """Take a frame at a displacement [m] and return the displacement found [m]; NaN: evaluated elsewhere."""
+        """Take a frame at a displacement [m] and return the displacement found [m]; NaN if a node evaluates it."""
         self.frame = self.camera.take(displacement)
         return math.nan if self.part is None else self.part.tracker.see(self.frame)[0]
 

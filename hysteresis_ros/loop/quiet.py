@@ -9,15 +9,15 @@
 
 """Quiet hold: the command stands still for a time, so that neither sensor noise nor quantisation moves the actuator.
 
-The loop first runs on for ``quiet.average`` while the difference of its command from the reference is averaged, because
-a single command contains the noise of its sample. For the same time the deviation from this mean decays, so that a
-resonance that the loop damps does not ring when the command stands still. The compensator computes a voltage
-for each sample as always, so the voltage follows minus the creep of its model. At the end the controller continues with
-its states: its reference moves from the mean of the last measurements to the received reference, and its command starts
-at the held command.
+The loop first continues for ``quiet.average`` while the difference between its command and the reference is averaged,
+because a single command contains the noise of its sample. In a second interval of this length, the deviation of the
+command from this mean decays to zero, so that a resonance that the loop damps does not ring when the command stands
+still. The compensator still computes a voltage for each sample, so the voltage cancels the creep of the compensator's
+model. At the end the controller continues with the states that it had before: its reference moves from the mean of the
+last measurements to the received reference, and its command starts at the held command.
 
-The drift of a quiet hold is the part of the creep that the model does not compensate. It is assumed to be a part of the
-creep that the model predicts from its present state (``quiet.creep_uncertainty``).
+The drift of a quiet hold is the creep that the model does not compensate. It is assumed to be a fraction
+(``quiet.creep_uncertainty``) of the creep that the model predicts from its present state.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hysteresis_ros.models.block import interpreted, kernel
 from hysteresis_ros.models.creep import DECAYS, OPERATOR, OPERATORS, OUTPUT, Creep, creep_inverse
 from hysteresis_ros.units import quantity_in, readable
 
-#: Name of the change, of the service and of its first number.
+#: Name of the change and of the service; names of the numbers in a request.
 QUIET, DURATION, TOLERANCE = "quiet", "duration", "tolerance"
 #: Longest quiet hold, and longest horizon of a forecast [s].
 LONGEST = 1e5
@@ -43,8 +43,8 @@ LONGEST = 1e5
 INSTANTS = 2000
 
 # Own parameters of the controller's part, after those of :mod:`.controller`.
-AVERAGED = 8  # samples whose commands are averaged, and samples in which the command then fades to the mean
-ON_PULSE = 9  # samples of the hold that a pulse of the trigger input begins; 0: it begins none
+AVERAGED = 8  # number of samples whose commands are averaged; the command then fades to the mean in as many samples
+ON_PULSE = 9  # number of samples of the hold that a pulse of the trigger input begins; 0: a pulse begins no hold
 OWN_PARAMETERS = 10
 
 # Own state of the controller's part, after that of :mod:`.controller`.
@@ -110,7 +110,7 @@ def is_quiet(own):
 
 @kernel
 def quietened(own_p, own, reference, command):
-    """Return the command [m] to send; while a quiet hold is about to begin, average it, then fade it to its mean."""
+    """Return the command [m] to send; before a quiet hold begins, average the commands, then fade to their mean."""
     if own[AHEAD] == 0.0:
         return command
     if own[COUNT] > 0.0 and reference != own[REFERENCE]:
@@ -138,7 +138,7 @@ def held_command(own_p, own, measured):
 
 @kernel
 def end_quiet(own):
-    """End a quiet hold because the axis becomes safe; the controller will start anew."""
+    """End a quiet hold because the axis becomes safe; the controller will restart."""
     own[LEFT] = own[AHEAD] = own[CONTINUES] = 0.0
 
 
@@ -170,7 +170,7 @@ class Forecast:
         return np.abs((1.0 - self._decays ** samples[:, np.newaxis]) @ self._weights)
 
     def longest(self, tolerance: float) -> float:
-        """Return how long the drift stays within a tolerance [m], in s; infinite if always."""
+        """Return the time [s] for which the drift stays within a tolerance [m]; infinite if it never exceeds it."""
         outside = np.flatnonzero(self.uncertainty * self._creep(self._samples) > tolerance)
         if not outside.size:
             return math.inf
@@ -178,7 +178,7 @@ class Forecast:
         return float(self._samples[first - 1]) * self.sample_time if first else 0.0
 
     def require(self, duration: float, tolerance: float = 0.0) -> None:
-        """Raise a ParameterError unless a quiet hold of a duration [s] stays within a tolerance [m]; 0: any."""
+        """Raise a ParameterError unless a quiet hold of a duration [s] stays within a tolerance [m] (0: no limit)."""
         require_numbers(duration, tolerance)
         if not tolerance:
             return
@@ -223,7 +223,7 @@ class Quiet(NamedTuple):
 
     start: float  #: Time of the request since the start of the run [s].
     duration: float  #: Length of the hold [s].
-    tolerance: float = 0.0  #: Largest drift [m]; 0: any.
+    tolerance: float = 0.0  #: Largest drift [m]; 0: unlimited.
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -9,20 +9,21 @@
 
 """The axes of a configuration, and the check that their references stay within stroke and bandwidth.
 
-The range is computed from the models of compensator and controller, because the axis does not know its plant.
+The range is computed from the models of compensator and controller, because the parameters of the plant are not known
+to the axis.
 
 *Stroke*: the range of the compensator's hysteresis model within its limits, swept in both directions from rest without
-creep, times the DC gain of the controller's model. With inverse ``none`` it is the nominal gain times the limits. Steps
-may briefly need more than that; this is not refused.
+creep, times the DC gain of the controller's model. With inverse ``none`` the stroke is the nominal gain times the
+limits. Steps that briefly need more than the stroke are not refused.
 
 *Bandwidth* is checked for closed loops and waveforms with one fundamental f. Open loops, chirps, multisines and files
 are experiments and are not checked. The checks are:
 
 - The command that produces the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
-  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work above this frequency as
-  long as the stroke suffices. Waveforms with jumps (square) are steps and not checked.
-- A response that lags by d samples, the relative degree, has an error of 2 sin(π f d Ts) times the amplitude. From f =
-  1/(6 d Ts) on the error is larger than the amplitude. Only ``inverse_dynamics`` with its preview has no such delay.
+  stroke. The limit is the stroke and not the -3 dB frequency: feedback and inverse dynamics work above that frequency
+  as long as the stroke suffices. Waveforms with jumps (square) are steps and not checked.
+- A response that lags by d samples (the relative degree) has an error of 2 sin(π f d Ts) times the amplitude. From f =
+  1/(6 d Ts) on, the error is larger than the amplitude. Only ``inverse_dynamics`` avoids this delay, by its preview.
 """
 
 from __future__ import annotations
@@ -41,9 +42,10 @@ from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 from hysteresis_ros.units import micrometres
 
-#: Tolerance of a reference beyond the stroke, as a fraction of it, for rounding and integrated sweeps.
+#: Tolerance of a reference beyond the stroke, as a fraction of the stroke, for rounding and integrated sweeps.
 TOLERANCE = 1e-4
-#: Tolerance of a fundamental's command beyond the stroke, as a fraction of it; the peaks of the waveform saturate then.
+#: Tolerance of a fundamental's command beyond the stroke, as a fraction of the stroke, within which only the peaks of
+#: the waveform saturate.
 CUT_PEAKS = 0.1
 
 
@@ -81,7 +83,7 @@ def check_reach(axis: AxisParameters) -> None:
 
 
 def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return the warnings about an axis: those of its nodes' parameters, and setpoints that saturate."""
+    """Return the warnings about an axis: about the parameters of its nodes, and about setpoints that saturate."""
     parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
     found = [
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")

@@ -11,10 +11,10 @@
 
 The closed loop is simulated ahead of the move with the models of controller and compensator as the plant, and once more
 for each way in which a plant usually deviates from its model: gain, width of the hysteresis loop, speed, creep. The
-displacement is taken as linear in these deviations. They are estimated from the measurements of earlier moves
-(recursive least squares with forgetting), so a model that is off by some percent predicts well from the second move on.
-The noise of the displacement at rest is added to the prediction in many realisations; the prediction is the median of
-their times.
+displacement is assumed to be linear in these deviations. The deviations are estimated from the measurements of earlier
+moves (recursive least squares with forgetting), so a model that is wrong by some percent predicts well from the second
+move on. Many realisations of the noise at rest are added to the predicted displacement; the predicted time is the
+median over these realisations.
 """
 
 from __future__ import annotations
@@ -58,26 +58,27 @@ PLANTS = (
     (1.0, 1.0, 1.0 + SIZE, 1.0),
     (1.0, 1.0, 1.0, 1.0 + SIZE),
 )
-#: Error of the linear model as a fraction of the distance that is left to the setpoint.
+#: Error of the linear model as a fraction of the remaining distance to the setpoint.
 ROUGHNESS = 0.3
 #: Weight of a move relative to the move after it.
 FORGETTING = 0.98
-#: Samples of a simulation of the noise at rest, and the samples before them, in which the loop settles.
+#: Number of samples of a simulation of the noise at rest, and of the samples before them, in which the loop settles.
 REST, SETTLING = 8192, 2000
 #: Number of realisations of the noise.
 REALISATIONS = 32
-#: Largest number of samples per call of the simulation: so a predicting thread releases the interpreter soon.
+#: Largest number of samples per call of the simulation; it is small so that a predicting thread soon releases the
+#: interpreter.
 CHUNK = 2048
-#: First and largest horizon of a prediction, and samples during which the models follow the axis before it [samples].
+#: First and largest horizon of a prediction, and the time before it during which the models follow the axis [samples].
 NEAR, AHEAD, BEHIND = 256, 20_000, 512
 
 
 def model_of(
     source: ReferenceNodeParameters, controller: ControllerNodeParameters, compensator: CompensatorNodeParameters
 ) -> AxisParameters:
-    """Return the axis whose plant is the model that its controller and its compensator have, without a waveform.
+    """Return an axis without a waveform, whose plant is the model of its controller and its compensator.
 
-    Its measurements have no offset of a preload, as its references have none.
+    Neither its measurements nor its references have the offset of a preload.
     """
     shared: dict[str, Any] = {"time_mode": "lockstep", "faults": (), "external_plant": False}
     plant = PlantNodeParameters(
@@ -110,7 +111,7 @@ def model_of(
 
 
 def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float, creep: float) -> AxisParameters:
-    """Return the axis with a plant whose gain, loop width, times and creep are those of the model times factors."""
+    """Return the axis with a plant whose gain, loop width, times and creep are the model's times the given factors."""
     plant = axis.plant_simulator
     deviation = Deviation(gain, opening, lambda count=None: np.ones(count or ()))
     changed = deviating(plant, deviation, slowness, creep)
@@ -120,7 +121,7 @@ def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float,
 def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
     """Return the first sample from which errors [m], shape (N,), are within a tolerance [m] for a number of samples.
 
-    It is infinite if they do not stay within it.
+    The result is infinite if the errors do not stay within the tolerance.
     """
     outside = np.flatnonzero(~(np.abs(error) <= tolerance))
     begins = np.concatenate([[0], outside + 1])
@@ -130,7 +131,7 @@ def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
 
 @dataclass(frozen=True)
 class RestingLoop:
-    """The model of a loop at rest under sensor noise of one metre.
+    """The model of a loop at rest under sensor noise with a standard deviation of one metre.
 
     Parameters
     ----------
@@ -221,7 +222,7 @@ class Predictor:
 
     @property
     def _slopes(self) -> np.ndarray:
-        """Change of the displacement with each deviation [m], shape (4, N)."""
+        """Change of the displacement per unit of each deviation [m], shape (4, N)."""
         return self._traces[1:] - self._traces[0]
 
     def learn(self, measured, noise: Noise) -> None:
@@ -253,7 +254,7 @@ class Predictor:
         self._followed = samples
 
     def _begin(self, setpoint: float, after: int, path: dict | None) -> None:
-        """Let the models be where the axis is at the first sample of a move."""
+        """Bring the models to the state of the axis at the first sample of a move."""
         self.follow(min(after, self._followed + BEHIND))
         for one, state in zip(self._axes, self._states, strict=True):
             _restore(one, state)
@@ -261,19 +262,19 @@ class Predictor:
                 one.apply(Change(0, SOURCE, "follow", path))
         self._states = [_copy(one) for one in self._axes]
         self._followed, self._setpoint = 0, setpoint
-        # a trajectory leaves the given setpoint as it is
+        # a trajectory does not change the given setpoint
         self._given = self._given if path is not None else setpoint
         self._traces = np.empty((len(PLANTS), 0))
 
     def _look_ahead(self, samples: int) -> None:
-        """Simulate the move until it has a number of samples."""
+        """Simulate the move up to this number of samples."""
         while (left := samples - self._traces.shape[1]) > 0:
             rows = [one.run(np.full(min(left, CHUNK), self._given))["displacement"] for one in self._axes]
             self._traces = np.concatenate([self._traces, np.array(rows)], axis=1)
 
 
 def _resting(axis: AxisParameters) -> RestingLoop:
-    """Simulate the model of an axis at rest with noise that is small, so that the loop is linear."""
+    """Simulate the model of an axis at rest under noise so small that the loop is linear."""
     plant, own = axis.plant_simulator, axis.reference_generator
     if own is None:
         raise ConfigurationError("an inchworm motor has no reference generator; nothing is predicted for it")

@@ -44,7 +44,7 @@ def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
 
 @contextlib.contextmanager
 def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
-    """Yield the axis of a recording, and a line for each file on this disk that it does not use.
+    """Yield the axis of a recording, and a line for each file on this disk that the axis does not use.
 
     The recorded files exist until the context ends.
     """

@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline simulation of a recorded run; plants that differ from their models, or drift; modes of the parts.
+"""Offline simulation and repetition of runs; plants that differ from their models, or drift; modes of the parts.
 
 Each draw multiplies these quantities by independent factors 1 + m u, with the mismatch m and u uniform in ±1: the gain,
-the loop width of the hysteresis (each model declares its parameters for it, and may declare more factors), the time
-scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's models do not change.
+the loop width of the hysteresis (each model declares the parameters that determine it, and may declare more factors),
+the time scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's models do not
+change.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def simulate(
     describe: bool = True,
     finished: Callable[[Axis], None] | None = None,
 ) -> Recording:
-    """Run an axis offline from rest, for ``duration`` [s], with ``setpoints`` [m] and quiet holds."""
+    """Run an axis offline from rest for ``duration`` [s], with ``setpoints`` [m] and quiet holds."""
     if duration is not None:
         parameters = parameters.with_duration(duration)
     plant = fused_plant_of(parameters.plant_simulator, linked=False) if answers else None
@@ -159,7 +160,7 @@ def simulate(
 
 
 def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str, Any]:
-    """Return the metadata of an offline run of an axis, on request with its configuration."""
+    """Return the metadata of an offline run of an axis; with ``describe``, also the configuration of the axis."""
     return {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
@@ -215,8 +216,8 @@ def answers_of(recorded: Recording) -> dict[str, np.ndarray]:
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
-    Two things are taken from the recording: the measurements of a device, and whether it could be made safe after a
-    failure. Everything that follows from them is computed again.
+    Two things are taken from the recording: the measurements of a device, and whether the device could be made safe
+    after a failure. Everything else is computed again.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     given["pulses"] = recorded.signals.get("trigger_in")
@@ -226,7 +227,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     # a device's true displacement is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
     if parameters.displacement_camera is not None:
-        unknown = {"measured"}  # a recording has the controller's input in place of this signal of the plant
+        unknown = {"measured"}  # in a recording this signal is the controller's input, not the plant's output
     return unequal(recorded, twin, unknown)
 
 

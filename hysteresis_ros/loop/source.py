@@ -82,7 +82,7 @@ def generate(laws, arrays, row):
             mode = STOPPED
     row[at.SETPOINT] = setpoint_in_force(arrays.x, row[at.SETPOINT])
     row[at.SOURCE_MODE] = mode
-    # in place: a function that takes all arrays of the generator cost some 30 ns a sample more
+    # not in a function of its own: one that takes all arrays of the generator cost some 30 ns more per sample
     row[at.WAVEFORM_SAMPLE] = -1.0
     row[at.SCAN_EDGES] = 0.0
     row[at.TRIGGER] = row[at.TRIGGER_POSITION] = row[at.TRIGGER_DIRECTION] = row[at.TRIGGER_DELAY] = 0.0
@@ -147,7 +147,7 @@ class GeneratorSource:
         self._arm()
 
     def _arm(self) -> None:
-        """Make the triggers of the present parameters; a waveform that the trigger input starts waits for it."""
+        """Make the triggers of the parameters; let a waveform that the trigger input starts wait for a pulse."""
         own = self.parameters
         self.triggers = triggers_of(own)
         self._bound()
@@ -175,7 +175,7 @@ class GeneratorSource:
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run in samples, as determined by the waveform; 0: no end, or it waits for a trigger."""
+        """Length of a run in samples, as determined by the waveform; 0: no end, or the waveform waits for a trigger."""
         if self.parameters.triggers.input.action == "start":
             return 0
         return self.generator.waveform.duration_samples
@@ -197,7 +197,7 @@ class GeneratorSource:
         self.generator.stop()
 
     def begin_at(self, position: float) -> None:
-        """Begin at the position of a running axis [m], and hold it until the first request."""
+        """Begin at the position of a running axis [m], and hold this position until the first request."""
         self.generator.begin_at(position)
 
     def follow(self, **points) -> None:
@@ -213,7 +213,7 @@ class GeneratorSource:
         self.generator.start()
 
     def reset(self) -> None:
-        """Reset: waveform at its start, setpoint as configured."""
+        """Reset the waveform to its start, and the setpoint to the configured one."""
         running = self.generator.running
         self.generator.reset()
         if self.triggers is not None:
@@ -236,7 +236,7 @@ class GeneratorSource:
 
 
 def triggers_of(parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters) -> TriggerArrays | None:
-    """Return the arrays of the triggers of an axis; None: it has none."""
+    """Return the arrays of the triggers of an axis, or None if it has no triggers."""
     given, step = parameters.triggers, 1.0 / parameters.sample_rate
     if not given.asked:
         return None
@@ -393,14 +393,14 @@ class SequencerSource:
         return self.sequencer.scheduled(samples)
 
     def reset(self) -> None:
-        """Reset: both clamps close, steps and learned lengths are cleared."""
+        """Reset the sequencer: both clamps close, and steps and learned lengths are cleared."""
         self.sequencer.reset()
         self.arrays.x.faults[:] = faulty.fault_state(self.arrays.p.faults)
         if self.triggers is not None:
             rest_triggers(self.triggers, self.parameters.initial_setpoint)
 
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
-        """Apply new time-outs; changes of the gait are refused while the motor walks, and those of the triggers."""
+        """Apply new time-outs; while the motor walks, changes of the gait and of the triggers are refused."""
         if parameters.triggers != self.parameters.triggers:
             text = "fixed while the sequencer is configured; clean up and configure again"
             raise ParameterError([Problem("triggers", "changed", text)])

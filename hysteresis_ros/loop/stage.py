@@ -14,11 +14,13 @@ Every axis then computes its reference and its command. The decoupling transform
 actuators. Every axis compensates its hysteresis and outputs its voltage. Finally the structure advances by one sample.
 
 The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
-and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the commands times the decoupling; their
-achieved commands are transformed back by its inverse. After each sample the feedforward of the stage takes the new
-references of all axes and adds its part to their next commands (:class:`.StageFeedforwardParameters`). A stage stops as
-a whole: when the plant of one axis trips, the other axes stop too; while the measurement of one axis is stale, all
-controllers go to their safe commands.
+and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the product of decoupling and commands;
+the commands that they achieve are transformed back by the inverse of the decoupling. After each sample the feedforward
+of the stage takes the new references of all axes, and adds its contribution to the next commands of the axes
+(:class:`.StageFeedforwardParameters`). A stage stops as a whole: when the plant of one axis trips, the other axes stop
+too; while the measurement of one axis is stale, all controllers go to their safe commands.
+:mod:`hysteresis_ros.nodes.stage` applies the same rule to the nodes of a stage, in Python, with methods of
+:class:`.Plant` and :func:`hold_with_stage`.
 """
 
 from __future__ import annotations
@@ -67,8 +69,8 @@ class CoupledPlantArrays(NamedTuple):
     x: ActuatorArrays
     watch_p: PlantWatchArrays
     watch_x: PlantWatchArrays
-    drive: np.ndarray  #: shape (1,); Index of its input of the structure.
-    shown: np.ndarray  #: shape (1,); Index of its output of the structure.
+    drive: np.ndarray  #: shape (1,); Index of the structure's input that this actuator drives.
+    shown: np.ndarray  #: shape (1,); Index of the structure's output that this sensor measures.
 
 
 @nested
@@ -90,7 +92,7 @@ def actuate_coupled(laws, arrays, row):
     p, x = arrays.p, arrays.x
     applied = limiting.limits(p.limits, x.limits, watched_voltage(arrays.watch_p, arrays.watch_x, row))
     crept = creep(p.creep, x.creep, laws.hysteresis(p.hysteresis, x.hysteresis, applied))
-    # only the delay of amplifier and converter: an actuator of a stage has no other dynamics
+    # these dynamics are only the delay of amplifier and converter: an actuator of a stage has no others
     arrays.drive[0] = linear(p.dynamics, x.dynamics, crept)
     row[at.PLANT_VOLTAGE] = applied
 
@@ -139,7 +141,7 @@ class GroupArrays(NamedTuple):
     weights: np.ndarray  #: shape (n, n, 2 N), or (0, 0, 0): of the feedforward of the stage.
     references: np.ndarray  #: shape (n, 2 N); Rings of the last references [m].
     places: np.ndarray  #: shape (n,); Index of the oldest reference in each ring.
-    known: np.ndarray  #: shape (n,); 0: the ring begins anew with the next reference.
+    known: np.ndarray  #: shape (n,); 0: the ring restarts with the next reference.
 
 
 @kernel
@@ -188,7 +190,7 @@ def to_axes(group, rows):
         group.scratch[n + i] = missing if missing - missing == 0.0 else 0.0
     for i in range(n):
         rows[i, at.COMMAND] = group.scratch[i]
-        # the unachieved part is transformed, so that a fully achieved command has no rounding error
+        # only the difference from the command is transformed, so a fully achieved command has no rounding error
         rows[i, at.APPLIED] = group.commands[i] + combined(group.recoupling, i, group.scratch, n)
 
 
@@ -210,7 +212,7 @@ def crossed(weights, references, places, known, i):
 
 @nested
 def feed_across(group, rows):
-    """Take the new references of all axes from :func:`report_reference`; write the commands they add into the rows."""
+    """Take the new references of all axes from :func:`report_reference`; write the resulting commands into the rows."""
     length = group.references.shape[1]
     for j in range(rows.shape[0]):
         place = int(group.places[j])
@@ -218,7 +220,7 @@ def feed_across(group, rows):
             group.known[j] = 0.0
         elif rows[j, at.CONTROLLER_MODE] > 0.0:
             if group.known[j] == 0.0:
-                # as if it had always been constant
+                # the reference counts as if it had always been constant
                 group.known[j] = 1.0
                 group.references[j, :] = rows[j, at.TRIPPED]
             group.references[j, place] = rows[j, at.TRIPPED]
@@ -263,7 +265,7 @@ def confirm_axis(laws, parts, row):
 
 @kernel
 def report_reference(feedforward, own, row):
-    """Write the newest reference of an axis and the number of new references into its row; -1: it follows none."""
+    """Write an axis' newest reference and number of new references (-1: it follows no reference) into its row."""
     row[at.TRIPPED] = feedforward[feeding.NEWEST]
     row[at.CONTROLLER_MODE] = -1.0 if own[RETURNING] != 0.0 else feedforward[feeding.CALLS]
     feedforward[feeding.CALLS] = 0.0
@@ -277,7 +279,7 @@ def show_reference(laws, parts, row):
 
 @each
 def take_command(laws, parts, row):
-    """Pass the stage's contribution to the next command of one axis to its feedforward."""
+    """Pass the stage's contribution to an axis' next command to the feedforward of that axis."""
     parts.controller.x.feedforward[feeding.GIVEN] = row[at.TRIPPED]
 
 
@@ -287,7 +289,7 @@ WITH_STAGE = 2.0
 
 @kernel
 def hold_with_stage(own, held):
-    """Stop a controller (``held`` 1) with its stage, or resume it (0); ``own`` is its own state."""
+    """Stop a controller (``held`` 1) with its stage, or resume it (0); ``own`` is the controller's state."""
     if held != 0.0 and own[STOP] == 0.0:
         own[STOP] = WITH_STAGE
     elif held == 0.0 and own[STOP] == WITH_STAGE:
@@ -401,7 +403,7 @@ class Coupling:
 class Stage:
     """The parts of all axes of a stage in closed loop, without ROS.
 
-    ``devices`` replace the simulated plants of all axes, and with them the structure that couples these.
+    ``devices`` replace the simulated plants of all axes and the structure that couples them.
     """
 
     def __init__(self, parameters: StageParameters, devices: Sequence[Plant] = ()):
@@ -450,7 +452,7 @@ class Stage:
         return np.array([*self.kind.given, *self.plants[0].given], dtype=float)
 
     def default_samples(self) -> int:
-        """Return the configured length of a run in samples, which is that of its longest axis; 0: no end."""
+        """Return the configured length of a run in samples (that of the axis with the longest run); 0: no end."""
         return max(axis.default_samples() for axis in self.axes)
 
     def default_setpoints(self, samples: int) -> dict[str, np.ndarray]:
@@ -467,9 +469,9 @@ class Stage:
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes, and so are the
-        answers of an axis' device in the repeated run (``answers``). ``skipped`` is 1 for a sample that all axes
-        skip, otherwise 0.
+        The keys of all mappings are the names of the axes. ``pulses`` are those of the trigger inputs; ``answers`` are
+        the answers of an axis' device in the run that is repeated. ``skipped`` is 1 for a sample that all axes skip,
+        otherwise 0.
         """
         waiting = self._sorted(changes or {})
         given = self.given

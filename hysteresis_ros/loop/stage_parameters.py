@@ -45,7 +45,7 @@ from hysteresis_ros.references.waveforms.scan import ScanWaveformParameters
 
 @dataclass(frozen=True)
 class StageFeedforwardParameters(Parameters):
-    """Commands that references of all axes add to those of the feedforward of each axis.
+    """Commands from the references of all axes, added to the feedforward of each axis.
 
     The feedforward of a stage, from the references r of all axes to their commands u, is
 
@@ -53,14 +53,14 @@ class StageFeedforwardParameters(Parameters):
 
     F_i is the inverse of the model of axis i alone, :mod:`hysteresis_ros.control.feedforward`, with N samples of
     preview. X is designed from the model of the stage (:mod:`hysteresis_ros.designs.stage_feedforward`), so that F + X
-    inverts it. It is a finite impulse response in both directions of time, because the inverse of a stage with zeros
-    outside the unit circle is bounded only if it looks ahead.
+    inverts it. X is a finite impulse response in both directions of time, because a bounded inverse of a stage with
+    zeros outside the unit circle must look ahead.
 
-    X reaches one sample less far ahead than F: after each sample the references of all axes are exchanged for the next
-    sample. So no controller waits for another controller within a sample, and the nodes, the fused loop and the offline
-    twin compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing; when it
-    returns, its references count as if they had always been constant. The weights of X add up to 0, so X adds nothing
-    at rest; the matrix ``decoupling`` decouples at rest.
+    X looks one sample less ahead than F, because the references of all axes are exchanged after each sample, for the
+    next one. So no controller waits for another controller within a sample, and the nodes, the fused loop and the
+    offline twin compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing;
+    when it returns, its references count as if they had always been constant. The weights of X add up to 0, so X adds
+    nothing at rest; the matrix ``decoupling`` decouples at rest.
     """
 
     preview: int = parameter(
@@ -240,7 +240,7 @@ def _other_clock(axis: AxisParameters, first: AxisParameters):
 
 
 def without_drivers(configuration: Configuration, axes: Sequence[str]) -> Configuration:
-    """Return a stage without its devices, whose drivers need not be on the machine that evaluates a recording."""
+    """Return a stage without its devices, because a machine that evaluates a recording may lack their drivers."""
     for name in axes:
         plant = f"{configuration.stage}/{name}/plant_simulator".lstrip("/")
         if configuration.node("plant_simulator", f"{configuration.stage}/{name}").get("driver"):
@@ -250,7 +250,7 @@ def without_drivers(configuration: Configuration, axes: Sequence[str]) -> Config
 
 
 def _other_kind(axis: AxisParameters, first: AxisParameters):
-    """Yield a Problem for an axis that is simulated while the first one is a device, or the other way round."""
+    """Yield a Problem unless this axis and the first axis are both simulated or both devices."""
     own, wanted = axis.plant_simulator.driver, first.plant_simulator.driver
     if bool(own) != bool(wanted):
         has = f"has the driver {wanted}" if wanted else "has no driver"
@@ -295,7 +295,7 @@ def _unfit_feedforward(axis: AxisParameters, stage: StageNodeParameters):
 class StageParameters:
     """Parameters of a stage and of all its axes."""
 
-    namespace: str  #: Namespace of the stage; those of its axes are below it.
+    namespace: str  #: Namespace of the stage; the namespaces of the axes are below it.
     stage: StageNodeParameters
     axes: tuple[AxisParameters, ...]  #: Axes in the order of ``stage.axes``.
 
@@ -329,7 +329,7 @@ class StageParameters:
             )
         axes: list[AxisParameters] = []
         problems: list[Problem] = []
-        # checked first, because an axis at another rate causes further problems
+        # clocks are checked first, because an axis at another rate causes further problems
         for space in wanted:
             for shared in SHARED:
                 value = configuration.node("plant_simulator", space).get(shared, getattr(NodeParameters, shared))
@@ -379,8 +379,8 @@ class StageParameters:
     def following(self, given: StageScanParameters) -> StageParameters:
         """Return the same stage with axes that follow a scan.
 
-        A scan that is invalid, or that the axes cannot follow, is refused; range and limits of the motion are those of
-        their reference generators.
+        A scan that is invalid, or that the axes cannot follow, is refused; the range and the limits of the motion are
+        those of the axes' reference generators.
         """
         where = f"{self.namespace}/{STAGE}: scan"
         found = replace(self, stage=replace(self.stage, scan=given))
@@ -409,7 +409,7 @@ class StageParameters:
             what: tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
             for what in ("velocity", "acceleration", "jerk")
         }
-        # samples contain no frequencies beyond half their rate
+        # samples contain no frequencies beyond half the sample rate
         limits["bandwidth"] = 0.5 * self.sample_rate
         limits["low"] = tuple(source.minimum - source.initial_setpoint for source in sources)
         limits["high"] = tuple(source.maximum - source.initial_setpoint for source in sources)
@@ -501,7 +501,7 @@ class StageParameters:
         return replace(self, stage=replace(self.stage, time_mode=mode), axes=axes)
 
     def in_time(self) -> StageParameters:
-        """Return the stage, fused when messages between its nodes are too slow for its rate in real time."""
+        """Return the stage; in real time, if messages between its nodes are too slow for its rate, in fused mode."""
         fused = any(in_time(axis).plant_simulator.time_mode == "fused" for axis in self.axes)
         return self.with_time_mode("fused") if fused else self
 
@@ -525,7 +525,7 @@ class StageParameters:
         return self.axes[self.place(name)].generator.waveform.type
 
     def scanning(self, names: Sequence[str]) -> StageParameters:
-        """Return the same stage, in which only these axes follow their waveforms; the others hold their setpoints."""
+        """Return the same stage, but only these axes follow their waveforms; the others hold their setpoints."""
         axes = []
         for name, axis in zip(self.names, self.axes, strict=True):
             source = axis.generator

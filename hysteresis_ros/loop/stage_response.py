@@ -35,9 +35,9 @@ from hysteresis_ros.references.scan import OCCUPIED, rounded_down
 from hysteresis_ros.references.waveforms.scan import repetition
 from hysteresis_ros.units import readable
 
-#: Angle [rad per sample] used for rest, because the response of an integrator at 0 is infinite.
+#: Angle [rad per sample] used in place of 0, at which the response of an integrator is infinite.
 RESTING = 1e-7
-#: Grid of the bandwidth of a loop, as fractions of the sample rate.
+#: Frequencies at which the bandwidth of a loop is searched, as fractions of the sample rate.
 GRID = np.geomspace(1e-5, 0.5, 2000)
 #: Harmonics of a path below this fraction of the largest one do not count.
 SMALLEST = 1e-7
@@ -69,8 +69,8 @@ def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
 def stage_plant(parameters: StageParameters) -> StateSpace:
     """Return the plant from the commands of the degrees of freedom to their measurements, with compensated hysteresis.
 
-    It includes the delays of the actuators, and each measurement precedes the commands of its sample. With hysteresis
-    inside the structure it is the linear plant for motions that are smaller than the radius of every play.
+    The plant includes the delays of the actuators, and each measurement precedes the commands of its sample. With
+    hysteresis inside the structure the result is the linear plant for motions smaller than the radius of every play.
     """
     stage = parameters.stage
     linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
@@ -112,9 +112,9 @@ def stage_response(parameters: StageParameters, angles) -> np.ndarray:
 
 
 def damped_response(parameters: StageParameters, angles) -> np.ndarray:
-    """Return the response from the outputs of the control laws, behind which the dampings are, to displacements.
+    """Return the response from the outputs of the control laws, with the damping behind them, to displacements.
 
-    Its shape is (F, n, n); ``angles`` are in rad per sample. This is the plant that the feedforward inverts.
+    The response has shape (F, n, n); ``angles`` are in rad per sample. It is the plant that the feedforward inverts.
     """
     dampings = []
     for axis in parameters.axes:
@@ -137,7 +137,7 @@ def _closed(parameters: StageParameters, loops, angles) -> np.ndarray:
 
 
 def scanned_paths(parameters: StageParameters) -> np.ndarray:
-    """Return the motion that the scan adds to the setpoints of the axes in a period, shape (n, N) [m]."""
+    """Return the motion that the scan adds to the setpoints of the axes during one period, shape (n, N) [m]."""
     scan = parameters.scan
     if scan is None:
         raise ConfigurationError(
@@ -153,7 +153,7 @@ def scanned_paths(parameters: StageParameters) -> np.ndarray:
 def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
     """Return a sentence for each axis that cannot follow its path in the scan, without learning.
 
-    The path is beyond the bandwidth of the loop, or is followed late, by the preview of a feedforward.
+    Such a path needs more than the bandwidth of the loop, or is followed with the delay of a feedforward's preview.
     """
     scan = parameters.scan
     if scan is None:
@@ -202,9 +202,9 @@ def path_bandwidths(parameters: StageParameters) -> np.ndarray:
 
 
 def check_scan(parameters: StageParameters) -> None:
-    """Raise ParameterError for a scan for which any controller would need commands beyond the range of the actuators.
+    """Raise ParameterError if a scan needs commands beyond the range of the actuators, whatever the controller.
 
-    The message states the actuator, the excess, and the highest frame rate within its range.
+    The message states the actuator, the excess, and the highest frame rate at which the commands stay within the range.
     """
     scan = parameters.scan
     if scan is None:
@@ -224,9 +224,9 @@ def check_scan(parameters: StageParameters) -> None:
 
 
 def _overreach(parameters: StageParameters, speed: float) -> np.ndarray:
-    """Return the largest command of each actuator as a fraction of its range on that side, shape (n,).
+    """Return the largest command of each actuator as a fraction of its range in that direction, shape (n,).
 
-    Units: ``speed`` of the scan as a fraction of the configured speed.
+    ``speed`` is the speed of the scan as a fraction of the configured speed.
     """
     paths = scanned_paths(parameters)
     count = paths.shape[1]

@@ -31,7 +31,7 @@ from hysteresis_ros.recordings.dataset import Recording, note_output, output_tol
 
 #: Number of instants within each sample at which displacements are computed.
 INSTANTS = 5
-#: Largest condition number of the modes for which a structure is integrated between its samples.
+#: A structure is integrated between its samples only if the condition number of its modes is at most this.
 WORST_CONDITION = 1e10
 
 
@@ -47,9 +47,9 @@ def simulate_stage(
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
-    Axes without setpoints keep their configured one. ``answers`` are the answers of each axis' device in the run that
-    is repeated; without them all plants are simulated, also those with a driver. The signals of the recording
-    are ``x/displacement`` …; :meth:`.Recording.axis` gives those of one axis.
+    Axes without setpoints keep their configured setpoint. ``answers`` are the answers of each axis' device in the run
+    that is repeated; without them all plants are simulated, even those with a driver. The signals of the recording are
+    ``x/displacement`` …; :meth:`.Recording.axis` gives those of one axis.
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
@@ -84,7 +84,7 @@ def simulate_stage(
 
 
 def repeated_stage(parameters: StageParameters) -> Stage:
-    """Return a stage that repeats its devices' answers; recorded measurements already are degrees of freedom."""
+    """Return a stage that repeats its devices' answers; the recorded measurements are already degrees of freedom."""
     direct = replace(parameters, stage=replace(parameters.stage, sensor_matrix=()))
     ranges = zip(parameters.axes, parameters.travel(), strict=True)
     return Stage(direct, [fused_plant_of(axis.plant_simulator, False, travel) for axis, travel in ranges])
@@ -110,7 +110,7 @@ def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[
 
 
 def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) -> Configuration:
-    """Return the configuration of a stage that follows a scan, whose parameters are texts ``NAME=VALUE``."""
+    """Return the configuration of a stage that follows a scan; ``values`` are the scan's parameters, ``NAME=VALUE``."""
     if configuration.stage is None:
         raise ConfigurationError(
             f"{configuration.source}: a scan moves several axes, and this file has no section '/{STAGE}' that couples "
@@ -123,7 +123,7 @@ def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) ->
 def displacements_between(
     parameters: StageParameters, recording: Recording, stage: Stage | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return instants [s], shape (M,), and degrees of freedom [m], shape (n, M), within and at the samples of a run.
+    """Return instants [s], shape (M,), at and between the samples of a run, and degrees of freedom [m], shape (n, M).
 
     The run starts from rest, with the simulated stage of the recording or with ``stage``, another stage at rest.
     Between samples the structure is integrated under held inputs, so that at the samples the result equals the
@@ -156,7 +156,10 @@ def displacements_between(
 
 
 def continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
-    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts); None if not continuous."""
+    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts).
+
+    The result is None if the model has no continuous equivalent.
+    """
     import scipy.signal
 
     poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
@@ -209,9 +212,9 @@ class CouplingError:
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
     """Return how far a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
 
-    Every axis with a waveform scans in its own run while the others hold their setpoints. The displacements of a run in
-    which all axes hold are subtracted. Both runs have the same sensor noise, which therefore cancels, and so do creep
-    and the approach to the setpoint. The true displacements are compared. The result is empty for a single axis, and
+    Every axis with a waveform scans in its own run while the others hold their setpoints. The displacements of another
+    run, in which all axes hold, are subtracted. Both runs have the same sensor noise, creep and approach to the
+    setpoint, which therefore cancel. The true displacements are compared. The result is empty for a single axis, and
     when no axis has a waveform.
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
@@ -219,7 +222,7 @@ def coupling_errors(parameters: StageParameters, duration: float | None = None) 
     if len(parameters.names) < 2 or not scanning:
         return found
     if duration is None:
-        # length for all axes together, because the waveform of a single one may be endless
+        # the length is that of all axes together, because the waveform of a single axis may be endless
         duration = Stage(parameters).default_samples() / parameters.sample_rate
     still = simulate_stage(parameters.scanning([]), duration=duration)
     for name in scanning:

@@ -57,8 +57,8 @@ class Parts(NamedTuple):
     compensator: CompensationArrays | AdaptiveArrays
 
 
-#: Step of each sample that :func:`ticks` computes: all steps, or only the measurement, the command, or the feedback of
-#: the achieved command to the controller.
+#: What :func:`ticks` computes of each sample: all steps, or only the measurement, the command, or the feedback of the
+#: achieved command to the controller.
 WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 
 #: Steps of a sample that may precede a change: none, the measurement, the command.

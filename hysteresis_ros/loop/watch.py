@@ -72,9 +72,9 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    A value is rejected when it is not finite, not newer than the last good one by its sample number ``stamp``, too far
-    from the last good one, or from a frozen sensor. After a time-out the next finite value is accepted, because there
-    is no recent value for comparison.
+    A value is rejected when it is not finite, when its sample number ``stamp`` is not greater than that of the last
+    good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out the next
+    finite value is accepted, because there is no recent value for comparison.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -144,7 +144,7 @@ FOLLOWS = 4  # 1 while the output equals the received voltage
 def hold_voltage(p, x, voltage, stopped, least):
     """Return the output voltage [V] of a sample, given the voltage received in time (NaN: none).
 
-    It is the last received voltage. After the time-out, and while ``stopped`` is not 0, the output slews to the safe
+    The output is the last received voltage. After the time-out, and while ``stopped`` is not 0, it slews to the safe
     voltage by at most one step per sample. On the way back, its difference from the received voltage decreases by at
     least one step per sample: the output may move by that step plus the motion of the received voltage, so it always
     arrives. A target below ``least`` is replaced by ``least``.
@@ -181,8 +181,8 @@ def hold_voltage(p, x, voltage, stopped, least):
 def least_beside(x, other):
     """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
 
-    Otherwise it is -inf. The sequencer opens one clamp after it has commanded the other to close; after a stop the
-    other clamp may still be closing.
+    Otherwise the result is -inf. The sequencer opens one clamp after it has commanded the other to close; after a stop
+    the other clamp may still be closing.
     """
     return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
 
