@@ -9,9 +9,9 @@
 
 """ROS 2 nodes: the only core folder that imports rclpy and messages.
 
-Read base (what every node has), responder (nodes that answer samples), then a node: plant_simulator,
+Read base (what every node has), then responder (nodes that answer samples), then one of the nodes: plant_simulator,
 hysteresis_compensator, motion_controller, reference_generator, inchworm_sequencer, recorder, displacement_camera.
-lockstep, realtime and fused are the time modes; axis composes the nodes in one process.
-launcher and domain start graphs without ROS in their own process; remote and security serve commands. masters detects
-competing publishers; trajectories, ready, quiet and triggers are the parts of a node for these subjects.
+lockstep, realtime and fused are the time modes; axis composes the nodes in one process. launcher and domain start
+graphs without ROS in their own process; remote and security serve commands. masters detects competing publishers;
+trajectories, ready, quiet and triggers are the parts of a node for these subjects.
 """

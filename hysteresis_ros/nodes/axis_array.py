@@ -7,12 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Executable ``hysteresis_array``, node ``axis_array``: many independent axes, each topic one message a sample for all.
+"""Executable ``hysteresis_array``, node ``axis_array``: many independent axes, with one message per topic and sample.
 
-The parameter file describes one axis, as for the other nodes; the section ``axis_array`` says how many there are, and a
-file has the values that differ (:mod:`hysteresis_ros.loop.axis_array`). Plants, controllers and compensators of all
-axes are computed in one call a sample, with simulated actuators. In lockstep the samples follow each other as fast as
-the machine can, or each waits for setpoints after the previous one; in real time they begin at absolute deadlines.
+The parameter file describes one axis, as for the other nodes. The section ``axis_array`` states the number of axes, and
+a separate file contains the values that differ between the axes (:mod:`hysteresis_ros.loop.axis_array`). Plants
+(simulated actuators), controllers and compensators of all axes are computed in one call per sample. In lockstep the
+samples follow each other as fast as the machine can, or each sample waits for new setpoints; in real time the samples
+begin at absolute deadlines.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from hysteresis_ros.units import micrometres
 #: Topics of the array.
 SETPOINTS, VOLTAGES, JOINT_STATES = "setpoints", "voltages", "joint_states"
 _ARRAY, _JOINTS, _TEXT = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
-#: Lockstep: samples after which acknowledgements are awaited, and the longest wait for them at a time [s].
+#: Lockstep: number of samples after which acknowledgements are awaited, and the longest duration of one wait [s].
 STRIDE, ACKNOWLEDGED = 64, 0.1
 #: Real time: delay [periods] above which the schedule is shifted instead of caught up with.
 FAR_BEHIND = 10.0
@@ -57,7 +58,7 @@ PAUSE, TEND = 0.01, 0.1
 
 
 class ArrayRunner(RealTime):
-    """Computes the samples in a thread: one after the other in lockstep, at absolute deadlines in real time."""
+    """Computes the samples in a thread: in lockstep one after the other, in real time at absolute deadlines."""
 
     by_message = False
 
@@ -276,7 +277,7 @@ class AxisArrayNode(AxisNode):
         self._voltages.data = array("d", voltages.tobytes())
         messages = (joints, self._voltages)
         for name, kind, publisher, message in zip(self._names, (_JOINTS, _ARRAY), self.outputs, messages, strict=True):
-            data = serialize_message(message)  # once for the topic and the bag
+            data = serialize_message(message)  # the same bytes are published and recorded
             publisher.publish(data)
             if self.recording is not None:
                 self.recording.attempt(partial(BagWriter.write, topic=name, type_name=kind, data=data, time_ns=stamp))
@@ -284,7 +285,7 @@ class AxisArrayNode(AxisNode):
         self.sample += 1
 
     def _on_setpoints(self, message) -> None:
-        """Take setpoints of all axes, one for all, or those of the axes that the label lists, from the next sample."""
+        """Take setpoints for all axes, one common setpoint, or setpoints for the axes that the label lists."""
         given = np.array(message.data, dtype=float)
         label = message.layout.dim[0].label if message.layout.dim else ""
         with self.lock:
@@ -297,7 +298,7 @@ class AxisArrayNode(AxisNode):
             self._refusals.publish(String(data=text))
 
     def _take(self, given: np.ndarray, label: str) -> str:
-        """Take setpoints [m]; return why they are refused, empty when taken."""
+        """Take setpoints [m]; return why they are refused, or an empty text if they are taken."""
         count = self.parameters.axes
         if label:
             words = [word.strip() for word in label.split(",")]
@@ -321,14 +322,14 @@ class AxisArrayNode(AxisNode):
         return ""
 
     def _record_setpoints(self) -> None:
-        """Record the setpoints with the stamp of the first sample that has them; called with the lock held."""
+        """Record the setpoints with the stamp of the first sample that uses them; called with the lock held."""
         if self.recording is not None:
             message = Float64MultiArray(layout=self._voltages.layout, data=array("d", self._setpoints.tobytes()))
             data, stamp = serialize_message(message), self.stamps.of(self.sample)
             self.recording.attempt(lambda bag: bag.write(self.setpoints_topic, _ARRAY, data, stamp))
 
     def reset_blocks(self) -> None:
-        """Begin again with all axes at rest, at sample 0 and with the configured setpoints."""
+        """Restart at sample 0 with all axes at rest and with the configured setpoints."""
         with self.lock:
             self._make_array(self.parameters)
             self.stamps.go_on(0)

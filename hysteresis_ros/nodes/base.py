@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Base of the nodes of an axis: lifecycle, topics, change log, diagnostics; the class of the node is last.
+"""Base of the nodes of an axis: lifecycle, topics, change log, diagnostics; the class of a node is the last one.
 
 The topic ``changes`` logs the initial parameters of a node and every change at run time. Entries are numbered, so that
 a recorder detects missing ones; the last entry marks the end of the run. A recorder in the process of a fused loop
-reads entries and samples directly: as messages, entries would arrive after the samples, or not at all.
+reads entries and samples directly, because messages with entries would arrive after the samples, or not at all.
 """
 
 from __future__ import annotations
@@ -54,15 +54,16 @@ _CHANGE_STATE = "_LifecycleNodeMixin__on_change_state"
 class GuardedLifecycleNode(GuardedServices, LifecycleNode):
     """A lifecycle node that refuses a transition that its state does not allow.
 
-    Up to rclpy 7.1.6 a ``change_state`` request with such an ``id`` raises an exception in the executor, which ends the
-    process without moving its outputs to safe values (ros2/rclpy, issue 1209).
+    Up to rclpy 7.1.6 a ``change_state`` request for such a transition raises an exception in the executor. This ends
+    the process without moving its outputs to safe values (ros2/rclpy, issue 1209).
     """
 
     def __init__(self, name: str, **options):
         super().__init__(name, **options)
         self.guard_services()
 
-    # The service calls the method by this name: Python mangles the private name of the class that declares it in rclpy.
+    # The service calls the method by this name, because Python mangles a private name with the name of its class in
+    # rclpy.
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         wanted = request.transition
         allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
@@ -113,7 +114,7 @@ class Endpoints(Node):
         return loop_qos(True, self.parameters.queue_depth)
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
-        """Create a publisher that exists until cleanup; with ``loop``, lockstep waits until it is matched."""
+        """Create a publisher that exists until cleanup; with ``loop``, lockstep awaits its matching subscription."""
         made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
         self._topic_handles.append((self.destroy_publisher, made))
         if loop:
@@ -130,7 +131,7 @@ class Endpoints(Node):
         return made
 
     def loop_input(self, message_type, topic: str, callback, qos, partner: str):
-        """Create a subscription of the loop, with one publisher, which must not change during a run in lockstep."""
+        """Create a subscription of the loop; its only publisher must not change during a run in lockstep."""
         if self.runner.exact:
             return self.subscriber(message_type, topic, callback, qos, partner=partner)
         return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
@@ -165,7 +166,7 @@ class Endpoints(Node):
         self._state_publisher.publish(message)
 
     def warn(self, key: str, text: str, every: float = 1.0, error: bool = False) -> None:
-        """Log a warning (or error), at most one per ``key`` and ``every`` seconds."""
+        """Log a warning (or an error), for each ``key`` at most once in ``every`` seconds."""
         now = self.steady.now().nanoseconds
         if now - self._warned.get(key, -(10**18)) >= every * 1e9:
             self._warned[key] = now
@@ -228,7 +229,7 @@ CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_relia
 
 
 def unheard(offered, asked, chosen_by: str) -> str:
-    """Return why a subscription does not match a publisher, and what to do; empty when it matches."""
+    """Return why a subscription does not match a publisher, and a remedy; empty if it matches."""
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
     if offered.reliability == best_effort and asked.reliability == reliable:
         choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
@@ -247,12 +248,12 @@ class Compatibility:
         self._suspected: dict[str, str] = {}
 
     def of_subscription(self, topic: str) -> SubscriptionEventCallbacks:
-        """Return the event callbacks for publishers that are incompatible with a subscription."""
+        """Return the callbacks for events about publishers that are incompatible with a subscription."""
         chosen_by = CHOSEN.get(topic, "")
         return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, chosen_by))
 
     def of_publisher(self, topic: str) -> PublisherEventCallbacks:
-        """Return the event callbacks for subscriptions that are incompatible with a publisher."""
+        """Return the callbacks for events about subscriptions that are incompatible with a publisher."""
         return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, ""))
 
     def _suspect(self, topic: str, chosen_by: str) -> None:
@@ -267,7 +268,7 @@ class Compatibility:
         return "; ".join(found)
 
     def _look(self, topic: str) -> list[str]:
-        """Return the incompatible endpoints of a topic; a topic without any is no longer monitored."""
+        """Return the incompatible endpoints of a topic; a topic without such endpoints is no longer monitored."""
         node, chosen_by = self._node, self._suspected[topic]
         full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
         found = set()
@@ -359,23 +360,25 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
-    :meth:`reset_blocks`, :meth:`retune`, and the processing of a sample, whose time :attr:`runner` decides (lockstep or
-    real time). Wrong input or a broken run sets :attr:`failure`, a sentence; the process of the node then exits with
-    :attr:`exit_code`.
+    :meth:`reset_blocks`, :meth:`retune`, and the processing of a sample; :attr:`runner` decides when a sample is
+    processed (lockstep or real time). Wrong input or a broken run sets :attr:`failure`, a sentence; the process of the
+    node then exits with :attr:`exit_code`.
     """
 
-    #: Class of its parameters; None: that of its name in NODE_PARAMETERS.
+    #: Class of the node's parameters; None: the class that NODE_PARAMETERS has for the node's name.
     parameters_class: type[NodeParameters] | None = None
     #: Whether the node has ``~/state``.
     has_state = True
-    #: Time without an input after which it counts as missing, and another publisher may replace its publisher [s].
+    #: Time without a message after which an input counts as missing, and another publisher may replace its publisher
+    #: [s].
     patience: float = math.inf
-    #: Whether the result of this node is incomplete, even after a regular exit.
+    #: Whether the result of this node is incomplete, which may be so even after a regular exit.
     has_lost: bool = False
     #: Whether this node can be reset on a running axis without a step of its output.
     rests: bool = True
     #: Fraction of partner_timeout after which this node reports a silent partner in lockstep. A node that waits
-    #: directly for the cause reports first, so that the error names the cause and not another waiting node.
+    #: directly for the node that has caused the silence reports first, so that the error names this cause and not
+    #: another waiting node.
     share = 1.0
     #: Parameters that the log message of activation names.
     identity: tuple[str, ...] = ()
@@ -394,7 +397,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.masters = Masters(self)
         self.parameters = None
         self.runner = None
-        #: With time_mode fused: the axis in this process to which this node belongs.
+        #: In fused mode: the axis in this process to which this node belongs.
         self.fused: Any = None
         self.changes = ChangeLog(name)
         self.active = False
@@ -439,7 +442,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             return Fused(self)
         return self.lockstep_runner(self) if self.parameters.time_mode == "lockstep" else self.real_time_runner(self)
 
-    #: Runners of the time modes in which each node computes its part of a sample.
+    #: Classes of the runners for the time modes in which each node computes its part of a sample.
     lockstep_runner: Any = Lockstep
     real_time_runner: Any = RealTime
 
@@ -482,7 +485,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         """``~/start`` (True) or ``~/stop`` (False) was called."""
 
     def hindrance(self) -> str:
-        """Return why this node does not run although it was not stopped; empty when it runs."""
+        """Return why this node does not run although the user has not stopped it; empty when it runs."""
         return "" if self.active else "inactive: activate it first"
 
     def stopped(self) -> str:
@@ -499,7 +502,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.changes.publish({**entry, "parameters": parameters or {}})
 
     def change_details(self) -> dict:
-        """Return further fields of a change entry: which part of the sample is already processed."""
+        """Return further fields of a change entry, which state what part of the sample is already processed."""
         return {}
 
     def health(self) -> tuple[int, str, dict]:
@@ -675,7 +678,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.log_change("retune", changed)
 
     def retuned(self, parameters) -> None:
-        """Handle changed parameters after :meth:`retune`; :attr:`parameters` still holds the previous ones."""
+        """Handle changed parameters after :meth:`retune`; :attr:`parameters` still contains the previous ones."""
 
     @property
     def is_fused(self) -> bool:
@@ -689,7 +692,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     # -- the run -------------------------------------------------------------------------------------------------
 
     def subscribe_end(self) -> None:
-        """Subscribe to the end mark of the plant, the number of samples of the run."""
+        """Subscribe to the end mark of the plant, which is the number of samples of the run."""
         self.subscriber(UInt64, "end_of_run", self._on_end, latched_qos())
 
     def _on_end(self, message) -> None:

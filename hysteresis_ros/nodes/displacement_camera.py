@@ -10,8 +10,8 @@
 """Node ``displacement_camera``: ``image`` → ``joint_states``; it measures the position of the tip.
 
 Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame without a detected
-position gives a sample without a measurement, and the reason in the log and on ``/diagnostics``; the axis then reacts
-as it does to any missing measurement.
+position gives a sample without a measurement, to which the axis reacts as to any missing measurement. The reason is in
+the log and on ``/diagnostics``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.samples import FRAMES, camera_qos
 from hysteresis_ros.nodes.spin import run
 
-#: Content of ``~/state``, and the units for docs/topics.md.
+#: Names in ``~/state``, which ``docs/topics.md`` lists with their units.
 STATE = ("displacement", "pixels", "uncertainty", "contrast", "blur")
 
 

@@ -9,10 +9,10 @@
 
 """Discovery range of the nodes of this machine, and isolated ROS domains for graphs; imports no ROS.
 
-A graph started by a command or a test must never meet an axis of the user: two graphs of one domain and namespace
-receive each other's commands. Such a graph gets a domain of its own, above those that users choose (0 to 101). It
-cannot be discovered from other machines. While the graph runs, nodes that were not started for it are refused in its
-domain.
+A graph started by a command or a test must never meet an axis of the user: two graphs in the same domain and namespace
+receive each other's commands. So a command or a test starts its graph in a domain of its own, above those that users
+choose (0 to 101). The graph cannot be discovered from other machines. While the graph runs, nodes that were not started
+for it are refused in its domain.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def reaches_others() -> bool:
 
 
 def named(endpoint) -> str:
-    """Return the full name of the node of a discovered publisher or subscription."""
+    """Return the full name of the node that has a discovered publisher or subscription."""
     if "UNKNOWN" in endpoint.node_name:  # placeholder of rmw: _NODE_NAME_UNKNOWN_
         return "a node without a known name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
@@ -60,16 +60,16 @@ def is_name(words: str) -> bool:
     return words.startswith("/")
 
 
-#: Domains whose ports are above the ephemeral ports of Linux and whose claim port is still a valid port number.
+#: Domains whose ports are above the ephemeral ports of Linux, and whose port for the claim is a valid port number.
 DOMAINS = range(231, 214, -1)
 
-#: Environment variable with the domain for which a process was started.
+#: Environment variable with the number of the isolated domain for which a process was started.
 OWN = "HYSTERESIS_DOMAIN"
 
-#: Number of participants whose ports are checked: all possible ones, because the first ones may have left.
+#: Number of participants whose ports are checked: all possible participants, because the first ones may have left.
 _PARTICIPANTS = 120
 
-#: Port offset of a claim: that of the last of 120 participants.
+#: Port offset of a claim, which is the offset of the last of 120 participants.
 _CLAIM = 249
 
 
@@ -80,14 +80,14 @@ _turns = itertools.count()
 class Domain:
     """A ROS domain that no other process on this machine uses, reserved until :meth:`close`.
 
-    The claim is a bound port of the domain: the operating system gives it to one process of all users, and releases it
-    however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed, even while it is empty. Use
-    it in a ``with`` statement, or close it.
+    The claim is a bound port of the domain: among the processes of all users, the operating system gives the port to
+    only one, and releases it however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed,
+    even while it is empty. Use the object in a ``with`` statement, or close it.
     """
 
     def __init__(self):
         own = os.environ.get("ROS_DOMAIN_ID", "0")
-        # in turn, because nodes of a graph that has just ended may still be discovered in its domain
+        # domains are used in turn, because nodes of a graph that has just ended may still be discovered in its domain
         first = (os.getpid() + next(_turns)) % len(DOMAINS)
         for number in (*DOMAINS[first:], *DOMAINS[:first]):
             claim = _bound(number, _CLAIM, "127.0.0.1") if str(number) != own.strip() else None
@@ -145,7 +145,7 @@ def require_admission(number: int) -> None:
 
 
 def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
-    """Return a socket bound to a port of a domain; None when the port is in use."""
+    """Return a socket that is bound to the domain's port with this offset; None if the port is in use."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         made.bind((address, 7400 + 250 * domain + offset))
@@ -156,7 +156,7 @@ def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
 
 
 def _unused(domain: int) -> bool:
-    """Return whether the discovery ports are free: multicast, and the first participants (RTPS 9.6.1)."""
+    """Return whether the domain's discovery ports are free: multicast and those of the participants (RTPS 9.6.1)."""
     for offset in (0, *(10 + 2 * participant for participant in range(_PARTICIPANTS))):
         probe = _bound(domain, offset)
         if probe is None:

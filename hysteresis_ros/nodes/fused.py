@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fused mode: one compiled thread runs the loop of an axis or a stage; nodes in its process publish and control it.
+"""Fused mode: one compiled thread runs the loop of an axis or a stage; the nodes in its process are its interface.
 
-The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
-(:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at
-``publish_rate``, with the stamps of the samples. The ring of the loop contains every sample.
+The nodes keep their names, topics, parameters, services and diagnostics. The nodes pass requests to the loop
+(:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample. They publish the loop's last sample
+at ``publish_rate``, with the stamp of that sample. The ring of the loop contains every sample.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from hysteresis_ros.references import inchworm_layout as gait
 
 
 class LoopPace:
-    """Rate, jitter and missed deadlines of the loop, in the form of :class:`hysteresis_ros.nodes.timing.Pace`."""
+    """Rate, jitter and missed deadlines of the loop; interface as :class:`hysteresis_ros.nodes.timing.Pace`."""
 
     def __init__(self, fused):
         self._fused = fused
@@ -83,13 +83,14 @@ class LoopPace:
 
 #: Time for the voltage to reach its safe value before the loop of an exiting node ends [s].
 RETURN = 2.0
-#: Maximum time for which Python blocks the loop while it applies a change [s].
+#: Maximum time for which Python blocks a loop that applies a change [s].
 SWITCH_INTERVAL = 5e-4
 
 #: The same for a loop that calls a driver in Python [s].
 PYTHON_SWITCH_INTERVAL = 1e-4
 
-#: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
+#: Time after which a loop that is not ready is assumed to be compiling [s]; loading compiled code from the cache takes
+#: less.
 COMPILING = 2.0
 COMPILING_TEXT = (
     "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start loads it "
@@ -101,7 +102,7 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
 class FusedAxis:
-    """The nodes of one axis in this process, and the loop that runs once all nodes of its axes are active.
+    """The nodes of one axis in this process, and its loop, which runs once all nodes of the loop are active.
 
     The axes of a stage share one loop, in which each has an index. They start, stop and reset together.
     """
@@ -158,7 +159,7 @@ class FusedAxis:
 
     @property
     def _is_complete(self) -> bool:
-        """Whether all nodes exist: those of another axis of a stage may not have been created yet."""
+        """Whether all nodes exist; those of another axis of a stage may not have been created yet."""
         if self._stage is None:
             return True
         return len(self.together) == len(self._stage.axes) and all(
@@ -166,7 +167,7 @@ class FusedAxis:
         )
 
     def deactivated(self, node) -> None:
-        """Move the outputs of a deactivated node to their safe values; for the plant, those of all nodes."""
+        """Move the outputs of a deactivated node to their safe values; if it is the plant, the outputs of all nodes."""
         if self.loop is None or self.loop.is_blocked:
             return
         if node.kind in STOPPABLE:
@@ -199,7 +200,7 @@ class FusedAxis:
             loop.halt()
 
     def _enter(self, loop: FusedLoop, axis: Axis) -> None:
-        """Give the nodes their parts of a loop that is about to start, and the loop the state of the nodes."""
+        """Give the nodes their parts of a loop that is about to start; apply the state of the nodes to the loop."""
         self.axis, self.loop = axis, loop
         self._over = self._leaving = False
         self._told.clear()
@@ -238,7 +239,7 @@ class FusedAxis:
         self.plant.get_logger().warning(f"real time: {text}")
 
     def end(self) -> None:
-        """End the loop if it runs; its samples are still published and recorded.
+        """End the loop if it runs; the samples that it has computed are still published and recorded.
 
         While a call of a device does not return, the loop exists until the process ends, and no other thread may call
         the device.
@@ -259,7 +260,7 @@ class FusedAxis:
 
     @property
     def missed(self) -> int:
-        """Number of skipped samples of the loop, or of the last one after its end."""
+        """Number of skipped samples of the loop; without a loop, that of the last one."""
         return self._missed if self.loop is None else self.loop.missed
 
     def lose_a_part(self) -> None:
@@ -302,7 +303,8 @@ class FusedAxis:
             return
         whole = node.kind == "plant_simulator"
         if whole:
-            self._make_safe()  # a reset part outputs no voltage, so from any other state the voltage would step
+            # a reset part outputs its voltage at rest, so from any other state the voltage would step
+            self._make_safe()
         axes = self.together if whole else [self]
         for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
             if name in self.axis.by_node:
@@ -347,7 +349,7 @@ class FusedAxis:
             self.loop.halt()
 
     def go_on(self) -> None:
-        """Restart all parts after an emergency stop or a trip, without a step, unless a device cannot be made safe."""
+        """Restart all parts after an emergency stop or a trip without a step, unless a device cannot be made safe."""
         if self.loop is None:
             return
         try:
@@ -355,7 +357,7 @@ class FusedAxis:
         except DriverError:
             return  # the plant states this error, and stays tripped
         if any(recovered):
-            self.await_samples(2)  # a sample of the stopped axis states the safe voltage
+            self.await_samples(2)  # these include a sample of the stopped axis with the safe voltage
         self._start("plant_simulator", self.together)
         for name in STOPPABLE:
             self._start(name, [one for one in self.together if one.nodes[name].running])
@@ -381,7 +383,7 @@ class FusedAxis:
         return self.loop.latest(self.place)
 
     def show(self) -> None:
-        """Publish the last sample, the changes and the end of the run; all axes publish the same sample."""
+        """Publish the last sample, the changes and the end of the run; the sample has the same number for all axes."""
         loop = self.loop
         if loop is None or self._over:
             return
@@ -401,7 +403,7 @@ class FusedAxis:
                 one.plant.finish()
 
     def _show_axis(self, until: int, ended: bool) -> bool:
-        """Publish the last sample before ``until`` and the changes of this axis; return whether it is a new sample."""
+        """Publish this axis' changes, and its last new sample before ``until``; return whether there was one."""
         assert self._reader is not None
         samples = self._reader.take(until)
         if samples.table.shape[1]:
@@ -457,9 +459,10 @@ class FusedAxis:
 
 
 def _hold_the_lock_briefly(realtime: RealtimeParameters) -> None:
-    """Shorten the times for which this process holds Python's lock, for which the loop waits in each sample.
+    """Shorten the times for which this process holds Python's lock, because the loop waits for the lock in each sample.
 
-    Garbage is sought among new objects only, and other programs do not interrupt the calling thread, which publishes.
+    The garbage collector examines only new objects, and other programs do not interrupt the calling thread, which
+    publishes.
     """
     gc.collect()
     gc.freeze()
@@ -504,7 +507,7 @@ class Fused(RealTime):
         return LoopPace(self.fused)
 
     def begin(self) -> None:
-        """Report that this node is active; the last one of an axis starts the loop."""
+        """Report that this node is active; the last active node of an axis starts the loop."""
         super().begin()
         self.fused.activated(self.node)
 
@@ -529,7 +532,7 @@ class Fused(RealTime):
             self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
 
     def stop_time(self) -> None:
-        """End the loop with the process; otherwise it continues in the safe state."""
+        """End the loop if the process exits; otherwise let it continue in the safe state."""
         if self.node.leaving:
             self.fused.end()
 
@@ -554,7 +557,7 @@ class Fused(RealTime):
         }
 
     def restart(self) -> None:
-        """Restart the loop with all nodes."""
+        """Do nothing, because the loop restarts with all nodes."""
 
     def align(self) -> None:
         """Do nothing: every voltage belongs to its own sample."""

@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Longest ramp to the safe voltage when the node exits [s]; after it the voltage steps to the safe voltage.
+#: Longest ramp to the safe voltage when the node exits [s]; after this time the voltage steps to the safe voltage.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)
@@ -36,9 +36,9 @@ _COMPENSATE = interpreted(compensate)
 class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
 
-    Missing commands are handled in its part of the loop (:mod:`hysteresis_ros.loop.compensator`). In real time it
-    answers commands of any node, and counts samples by the clock while none arrive. At exit the voltage returns to
-    ``safe_voltage``.
+    Missing commands are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.compensator`). In real time
+    the node answers commands of any node, and counts samples by the clock while no commands arrive. At exit the voltage
+    returns to ``safe_voltage``.
     """
 
     parameters: CompensatorNodeParameters
@@ -93,12 +93,12 @@ class HysteresisCompensatorNode(Responder):
 
     @property
     def is_stale(self) -> bool:
-        """Whether commands have been missing for their time-out."""
+        """Whether no commands have arrived for the time-out."""
         return self.silent
 
     @property
     def silent(self) -> bool:
-        """Whether commands have been missing for their time-out."""
+        """Whether no commands have arrived for the time-out."""
         return self._mode == STALE
 
     @property
@@ -123,7 +123,7 @@ class HysteresisCompensatorNode(Responder):
     def after_step(self) -> None:
         """Log changes of mode."""
         if self.runner.by_message:
-            self.row[signals.MEASURED] = math.nan  # no measurement is used twice
+            self.row[signals.MEASURED] = math.nan  # so that no measurement is used twice
         self.after_missing()
 
     def after_missing(self) -> None:
@@ -195,7 +195,7 @@ class HysteresisCompensatorNode(Responder):
                 self.step()
             self.publish_outputs()
             time.sleep(samples / self.parameters.sample_rate)
-        # the voltage only: in lockstep any other message would be assigned to a sample
+        # only the voltage is published: in lockstep any other message would be assigned to a sample
         self._message.data = self.part.make_safe()
         self._outputs[0][1].publish(self._message)
         if self.running:
@@ -205,7 +205,7 @@ class HysteresisCompensatorNode(Responder):
         return {AMPLIFIER: self.compensator.limits.limited_samples}
 
     def release(self) -> None:
-        """Log once, at the end, for how long in the run the limits restricted the voltage."""
+        """Log once, at the end of the run, for how long the limits restricted the voltage."""
         if self.part is None or self._told:
             return
         self._told = True

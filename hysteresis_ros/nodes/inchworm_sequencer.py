@@ -51,12 +51,12 @@ _REFER = interpreted(refer)
 class InchwormSequencerNode(ReferenceSource):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
-    Setpoints [m] and speeds [m/s] are accepted at any time; requests (start, stop, home, release) take effect one per
-    sample, in the order of the calls. ``~/state`` contains each of them at its sample, so that a run can be repeated
-    offline bit for bit.
+    Setpoints [m] and speeds [m/s] are accepted at any time. Of the requests (start, stop, home, release) one takes
+    effect per sample, in the order of the calls. ``~/state`` contains setpoint, speed and request of each sample, so
+    that a run can be repeated offline bit for bit.
 
-    In the safe state both clamps are closed, which needs voltage: without it they open. At exit, and when measurements
-    stop, the node closes the open clamps and leaves their voltage on.
+    In the safe state both clamps are closed, which needs voltage: without voltage they open. At exit, and when
+    measurements stop, the node closes the open clamps and leaves the voltages of the clamps on.
     """
 
     parameters: InchwormSequencerNodeParameters
@@ -114,12 +114,12 @@ class InchwormSequencerNode(ReferenceSource):
 
     def _look_for_the_others(self) -> None:
         if self.active and not self._complete:
-            # without a driver of the extender its steps would count as missed
+            # while no node drives the extender, its steps would count as missed
             topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
             self._complete = self.all_matched() and all(self.count_publishers(topic) for topic in topics)
 
     def reset_blocks(self) -> None:
-        """Reset: both clamps close, steps and learned lengths are cleared.
+        """Reset the sequencer: both clamps close, and steps and learned lengths are cleared.
 
         In real time the clamp voltages continue from their present values, so that a reset does not drop the slider.
         """
@@ -135,14 +135,14 @@ class InchwormSequencerNode(ReferenceSource):
     # -- requests of the user ---------------------------------------------------------------------------------
 
     def take_setpoint(self, value: float) -> str:
-        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
+        """Take a setpoint [m]; return why it is refused, or an empty text if it is taken."""
         reason = self.sequencer.refuse(value)
         if reason:
             return reason
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
-            # the sequencer accepts only a setpoint that differs from the last one: change it by the least possible
-            # amount
+            # the sequencer accepts only a setpoint that differs from the last one, so an equal setpoint is changed by
+            # the least possible amount
             low, high = self.sequencer.parameters.minimum, self.sequencer.parameters.maximum
             value = math.nextafter(value, high if value < 0.5 * (low + high) else low)
         self.setpoint = value
@@ -243,7 +243,7 @@ class InchwormSequencerNode(ReferenceSource):
         _REFER(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
-        """Answer the sample in the row; in real time only when the other nodes are present."""
+        """Answer the sample in the row; in real time only if the other nodes of the axis are present."""
         if self.runner.exact or self._complete:
             super().answer(stamp)
 
@@ -259,7 +259,7 @@ class InchwormSequencerNode(ReferenceSource):
                 self.warn("error", self._explanation, error=True, every=0.0)
 
     def look_at(self, rows) -> None:
-        """Detect from the samples whether the slider has arrived and rests."""
+        """Detect from the samples whether the slider has arrived and stands still."""
         last = rows[-1]
         self.tell_settled(bool(last[signals.ARRIVED]) and not last[signals.TRIPPED])
 
@@ -304,7 +304,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # at this speed of the gait both clamps would close too late, so the grip voltage is output without a ramp
+        # at the speed of the gait both clamps would close too late, so the grip voltage is output without a ramp
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()

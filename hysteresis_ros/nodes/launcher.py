@@ -59,9 +59,9 @@ def starts_nodes(command: list[str]) -> bool:
 def leave_with_ros2() -> bool:
     """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
 
-    Return whether one of them has started it. Both pass on Ctrl-C only: when SIGTERM ends them, for instance from a
-    service manager, their nodes continue to run the axis. The exit of another parent has no effect, such as a shell
-    that has started a node in the background.
+    Return whether one of these commands has started the process. Both commands pass on only Ctrl-C: when SIGTERM ends
+    them, for instance from a service manager, their nodes continue to run the axis. The exit of any other parent, such
+    as a shell that has started a node in the background, has no effect.
     """
     parent = os.getppid()
     with contextlib.suppress(OSError):
@@ -116,7 +116,7 @@ def node_environment() -> dict[str, str]:
     """Return the environment of ``python -m`` processes, which must not import modules from the current folder.
 
     Otherwise a file ``yaml.py`` in the folder of a user's recordings would replace the library. The folder of this
-    package stays in the path when it is itself the current one, as in a clone that is not installed.
+    package stays in the path even if it is the current folder, as in a clone that is not installed.
     """
     environment = dict(os.environ, PYTHONSAFEPATH="1")
     home = pathlib.Path(__file__).resolve().parents[2]
@@ -246,7 +246,7 @@ class Graph:
             self._stack.enter_context(session(self.environment))
 
     def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
-        """Start the nodes of all axes: one process per kind of node, or a single one, which a fused stage needs."""
+        """Start the nodes of all axes: one process per kind of node, or a single process, which a fused stage needs."""
         axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
         path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
         fused = stage.stage.time_mode == "fused"
@@ -272,7 +272,8 @@ class Graph:
         ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
         dead = [node for node in ended if node.process.returncode != 0]
         if dead:
-            # one failed node soon ends others, so killed nodes and refused parameters are reported first
+            # one failed node soon ends other nodes, so killed nodes and refused parameters are reported first, as
+            # probable causes
             first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
             code = first.process.returncode
             self.stop()
@@ -287,9 +288,9 @@ class Graph:
         return None in codes
 
     def _is_lost_recorder(self, node: NodeProcess) -> bool:
-        """Return whether a node is a recorder that died on an axis in real time, which continues without it.
+        """Return whether a node is a recorder that died on an axis in real time; such an axis continues without it.
 
-        A recorder that fails to start ends the run, and lockstep needs every partner.
+        In contrast, a recorder that fails to start ends the run, and lockstep needs every partner.
         """
         if node.name != "recorder" or node.process.poll() in (None, 0, 2):
             return False
@@ -328,7 +329,7 @@ class Graph:
 def node_command(
     name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn", enclave: str = ""
 ) -> list[str]:
-    """Return the command line of a node, or of all nodes of an axis in one process; its enclave is that of ``name``."""
+    """Return the command line of a process: one node, or all nodes of an axis; ``name`` is also its enclave."""
     module = name.removeprefix("hysteresis_") if name in ("hysteresis_axis", "hysteresis_stage") else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
     command += ["--params-file", str(path), "--log-level", log_level]
@@ -339,7 +340,7 @@ def node_command(
 
 @contextlib.contextmanager
 def session(environment: dict[str, str]) -> Iterator[None]:
-    """Keep a process in the graph that executes the user's commands, unless each command needs its own enclave."""
+    """Keep a process in the graph to execute the user's commands, unless each command needs its own enclave."""
     if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
         yield
         return
@@ -353,7 +354,8 @@ def session(environment: dict[str, str]) -> Iterator[None]:
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
     """Start a process that ends with this one."""
-    # A separate session: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
+    # In a separate session, so that Ctrl-C in a terminal reaches only this process, which then stops the nodes in
+    # order.
     guard = partial(die_with_parent, os.getpid())
     return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
 
@@ -378,6 +380,6 @@ def run_apart(module: str, request: dict) -> int:
     """Run a module in an isolated ROS domain, and return its exit code."""
     require_ros()
     with Domain() as domain:
-        # the pip wheels of ROS restart the interpreter on import
+        # a separate process, because the pip wheels of ROS restart the interpreter on import
         command = [sys.executable, "-m", module, json.dumps(request)]
         return started(command, node_environment() | domain.environment).wait()

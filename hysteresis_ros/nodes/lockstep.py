@@ -19,9 +19,9 @@ from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Runner
 
-#: Time-out of the first sample: discovery, and compilation of the kernels on a machine without a cache [s]. A node that
-#: has done its part of sample 0 also waits this long: with a recorder the node counts as matched before its partner is
-#: present.
+#: Time-out of the first sample [s], long enough for discovery, and for compilation of the kernels on a machine without
+#: a cache. A node that has done its part of sample 0 also waits this long: the subscription of a recorder lets the node
+#: count as matched before its partner is present.
 STARTUP_TIMEOUT = 120.0
 
 #: Interval of the check of the partners, and of the check of the publishers of the inputs [s].
@@ -32,7 +32,7 @@ _FAILED = "failed: "
 #: Maximum length of another node's failure message that is passed on [characters].
 LONGEST_REASON = 1000
 
-#: All nodes wait for the plant, and the plant waits for all: a node that waits only for the plant reports last.
+#: All nodes wait for the plant, and the plant waits for all nodes: a node that waits only for the plant reports last.
 PLANT = "plant_simulator"
 
 #: Remedy when the nodes of a run are inconsistent.
@@ -40,7 +40,7 @@ TOGETHER = "start or reset all nodes together"
 
 
 class Partners:
-    """Publishers of the inputs of a node; during a run the publisher of an input must not change."""
+    """Publishers of a node's inputs; during a run the publisher of an input must not change."""
 
     def __init__(self, node):
         self._node = node
@@ -82,7 +82,8 @@ class Partners:
             elif topic in self._absent:
                 return f"{partner} vanished at sample {sample} (topic {topic})"
             else:
-                # the end mark may still be in the queue, so a loss must persist until the second check
+                # the end mark may still be in the queue, so a publisher counts as lost only if it is absent in two
+                # checks
                 self._absent.add(topic)
         return ""
 
@@ -92,7 +93,7 @@ class Lockstep(Runner):
 
     #: Whether every sample is answered exactly once.
     exact = True
-    #: Whether messages are kept for subscriptions that are matched later.
+    #: Whether publishers keep messages for subscriptions that match later.
     keeps = True
 
     def __init__(self, node):
@@ -116,7 +117,7 @@ class Lockstep(Runner):
         """Do nothing after a reset: all nodes are reset together."""
 
     def leave(self) -> None:
-        """Do nothing: the other nodes detect a stopped partner by its silence."""
+        """Do nothing: the other nodes detect from its silence that this node has stopped."""
 
     def end(self) -> None:
         """End the run at deactivation: the next one starts at sample 0."""
@@ -144,7 +145,7 @@ class Lockstep(Runner):
             self.reset_pending = False
             return True
         if self.reset_pending:
-            return False  # sent before the reset; sample 0 has not arrived yet
+            return False  # the sample was sent before the reset; sample 0 has not arrived yet
         if index == 0:
             place = f"{node.get_name()} is at {node.sample}"
             node.fail(f"plant_simulator began again at sample 0 while {place}; {TOGETHER}")
@@ -156,7 +157,7 @@ class Lockstep(Runner):
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
-        """Return whether more messages arrived than samples need; they cannot be assigned, so the run ends."""
+        """Return whether more messages arrived than samples need; these cannot be assigned, so the run ends."""
         if count <= allowed:
             return False
         what = f"{topic} has {count} messages at sample {self.node.sample}"
@@ -254,7 +255,7 @@ class LockstepResponder(Lockstep):
             self.advance()
 
     def value(self, place: int, data: float) -> None:
-        """Receive a message of the input with this index; its count assigns it to a sample."""
+        """Receive a message of the input with this index; the count of messages assigns it to a sample."""
         node = self.node
         input_ = node.inputs[place]
         count = self._counts[place] = self._counts[place] + 1
@@ -268,7 +269,7 @@ class LockstepResponder(Lockstep):
         self.advance()
 
     def _lacks(self):
-        """Return the first input that the present sample lacks; None when all have arrived."""
+        """Return the first input that is missing for the present sample; None if all have arrived."""
         sample, ahead = self.node.sample, self._ahead
         for place, count in enumerate(self._counts):
             if count < sample + ahead[place]:

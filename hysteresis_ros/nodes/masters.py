@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one active publisher: a node runs once in a ROS domain, and each of its inputs accepts one publisher.
+"""One axis, one master: a node runs only once in a ROS domain, and each of its inputs accepts only one publisher.
 
-A node claims its name on this machine: discovery would report a second graph only after both have moved. The kernel
-releases the claim when the process ends, however it ends.
+A node claims its name on this machine, because discovery would report a second graph only after both graphs have moved.
+The kernel releases the claim when the process ends, however it ends.
 
-A node accepts an input from the publisher that sent the first message, known by its identity (GID), which rclpy
-leaves out of its callbacks. Silence does not release the input: when the active publisher has been silent for the
-time-out of the input, or has left the graph, only a publisher of a node with the same full name replaces it. Any other
-publisher needs ``~/reset`` of the node that listens, or a new configuration. Messages of a competing publisher have no
-effect, and diagnostics name both publishers.
+A node accepts an input only from the publisher that sent the first message. It recognises the publisher by its identity
+(GID), which rclpy does not pass to callbacks. Silence does not release the input: when the active publisher has been
+silent for the time-out of the input, or has left the graph, only a publisher of a node with the same full name replaces
+it. Any other publisher is accepted only after ``~/reset`` of the receiving node, or after a new configuration. Messages
+of a competing publisher have no effect, and diagnostics name both publishers.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return the number and the command line of the process that has claimed a node; '' if no process has."""
+    """Return number and command line of the process that has claimed a node; '' if no process has claimed it."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -196,7 +196,7 @@ class IdentifiedSubscription(Waitable):
 #: Default time-out of an input [s].
 PATIENCE = 1.0
 
-#: Interval at which the node checks whether this process was halted [s], and the number of checks that may be late.
+#: Interval of the check whether this process was halted [s], and the delay that shows a halt [intervals].
 LOOK, LATE = 0.01, 3.0
 
 #: Time to discover nodes of other machines, and interval of the check for them [s].
@@ -205,8 +205,8 @@ DISCOVERY, TURN = 2.0, 0.05
 #: Interval between two reports of refused messages [s].
 TELL = 10.0
 
-#: Interval of the check whether an active publisher has left the graph while a competing one sends [s]; a check takes
-#: as long as ten messages.
+#: Interval of the check whether an active publisher has left the graph while a competing one sends [s]. A check takes
+#: as long as processing ten messages.
 GRAPH_LOOK = 0.02
 
 #: Number of competing publishers whose last check is stored.
@@ -266,7 +266,7 @@ class Master:
         return False
 
     def find(self) -> None:
-        """Store that the active publisher is in the graph, and its name: both are needed to detect its replacement."""
+        """Store the active publisher's name, and that it is in the graph; both are needed to detect its replacement."""
         if not self.identity or (self._was_there and self.name):
             return
         masters = self._masters
@@ -276,7 +276,7 @@ class Master:
     def _follows(self, identity: bytes, now: float) -> bool:
         """Return whether another publisher replaces the active publisher, which is silent or has left the graph.
 
-        Only a node with the same full name replaces it automatically; any other one needs the user's permission.
+        Only a node with the same full name replaces it automatically; any other node needs the user's permission.
         """
         masters = self._masters
         if now - self._looked.get(identity, -math.inf) < GRAPH_LOOK:
@@ -286,7 +286,7 @@ class Master:
             return False
         if len(self._looked) > MOST_RIVALS:
             self._looked.clear()
-        self._looked[identity] = now  # for each publisher: a flood from one must not delay the check of another
+        self._looked[identity] = now  # stored for each publisher: a flood from one must not delay the check of another
         if not over and self.identity is not None and masters.is_there(self.topic, self.identity):
             return False
         return self.released or bool(self.name and masters.full_name(self.topic, identity) == self.name)
@@ -348,7 +348,7 @@ class Masters:
         self._inputs.clear()
 
     def begin(self) -> None:
-        """Start to monitor whether this process is halted, because a halted process receives nothing."""
+        """Start to monitor whether this process is halted: it then receives nothing, which is not silence."""
         self._since = self._looked = time.monotonic()
         if self._inputs:
             self._node.timer(LOOK, self.look)
@@ -365,7 +365,7 @@ class Masters:
                 master.find()
 
     def is_over(self, heard: float, now: float) -> bool:
-        """Return whether a publisher has been silent for too long.
+        """Return whether a publisher has been silent for longer than its time-out.
 
         ``heard`` is the time of its last message, ``now`` the present time [s].
         """
@@ -420,7 +420,7 @@ class Masters:
         self._node.warn(f"master {master.topic}", master.refusal, every=0.0, error=True)
 
     def complaint(self) -> str:
-        """Return the competing publishers of the topics of the loop; empty when there is one for each."""
+        """Return the competing publishers of the loop's topics; empty if each topic has only one publisher."""
         node = self._node
         for master in self._inputs:
             master.find()
@@ -448,9 +448,9 @@ def publishers(node, topic: str) -> list[str]:
 
 
 def rivals(node) -> list[str]:
-    """Return the nodes that compete with a node before its activation: same published topics, or same name.
+    """Return the nodes that compete with a node before its activation, by the same published topics or the same name.
 
-    A publisher without a known name is ignored: it may be a node that has just left the graph, which has no effect.
+    A publisher without a known name is ignored: it may belong to a node that has just left the graph and has no effect.
     """
     own = node.get_fully_qualified_name()
     found = [
@@ -473,7 +473,7 @@ def require_alone(node) -> None:
 
 
 def await_discovery(nodes: list) -> None:
-    """Wait for the discovery of nodes on other machines, if they are reachable, or until a competing node is found."""
+    """If other machines are reachable, wait for the discovery of their nodes, or until a competing node is found."""
     until = time.monotonic() + (DISCOVERY if reaches_others() else 0.0)
     while time.monotonic() < until and not any(map(rivals, nodes)):
         time.sleep(TURN)

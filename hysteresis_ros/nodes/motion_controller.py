@@ -35,11 +35,12 @@ from hysteresis_ros.nodes.quiet import QuietHold
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 
-#: Relative threshold of saturation, as a fraction of the largest achieved command so far: inverses are approximate.
+#: Relative threshold of saturation, as a fraction of the largest achieved command so far; it allows for approximate
+#: inverses.
 FRACTION = 0.05
-#: Absolute threshold of saturation [m]: rounding errors before the first motion do not count.
+#: Absolute threshold of saturation [m], so that rounding errors before the first motion do not count.
 SMALLEST = 1e-9
-#: Number of stored commands: on a busy machine an achieved command may be late by fewer samples than this.
+#: Number of stored commands, larger than the delay of an achieved command on a busy machine [samples].
 LATENESS = 20
 
 
@@ -57,7 +58,7 @@ class Shortfall:
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare an achieved command [m] with the nearest of the last commands, because it may be late."""
+        """Compare an achieved command [m] with the nearest of the last commands, because it may arrive late."""
         self._largest = max(self._largest, abs(applied))
         allowed = max(FRACTION * self._largest, SMALLEST)
         if abs(self._sent[-1] - applied) <= allowed:
@@ -105,7 +106,7 @@ class ControllerState:
         self._shown, self._before = -1, (math.nan, math.nan)
 
     def tell(self, stamp) -> None:
-        """Publish the present sample, ``controller_state_rate`` times a second of the axis."""
+        """Publish the present sample, ``controller_state_rate`` times per second of the axis' own time."""
         node, row = self._node, self._node.row
         rate, since = node.parameters.sample_rate, node.sample - self._shown
         if self._shown >= 0 and 0 <= since < rate / node.parameters.controller_state_rate:
@@ -147,12 +148,12 @@ _CONTROL = interpreted(control)
 class MotionControllerNode(Responder):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
 
-    Missing or wrong measurements are handled in its part of the loop (:mod:`hysteresis_ros.loop.controller`). In real
-    time a measurement whose stamp does not follow the last one counts as missing; while no measurements arrive, the
-    clock counts the samples.
+    Missing or wrong measurements are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.controller`). In
+    real time a measurement whose stamp does not follow the last one counts as missing; while no measurements arrive,
+    the clock counts the samples.
 
-    On exit it publishes no final command, which would be a step: after its time-out the compensator moves to its safe
-    voltage at its slew rate.
+    At exit the node publishes no final command, because that would be a step. After the compensator's time-out the
+    voltage moves to the safe voltage at the compensator's slew rate.
 
     With ``use_origin`` an inchworm_sequencer replaces the reference generator: the controlled variable is the measured
     joint minus the ``origin`` of every reference.
@@ -287,7 +288,7 @@ class MotionControllerNode(Responder):
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return whether the last sample still lacks its achieved command; a change then precedes that command."""
+        """Return whether the last sample still lacks its achieved command; if so, a change precedes that command."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -324,7 +325,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Also write the measured force into the row, NaN if none is measured; some damping laws require it."""
+        """Also write the measured force into the row, because some damping laws require it; NaN if none is measured."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Interface of a node to its users: parameters from the tables of the blocks, services that explain their refusals.
+"""Interface of a node to its users: parameters from the tables of the blocks, and services that explain refusals.
 
 A value of the command line (``-p``) overrides parameter files; rcl does not do this for sections with wildcards. A file
 named over the graph must be in a folder that the user of the node has allowed. No request stops the node.
@@ -44,7 +44,7 @@ FLAGS = ("-p", "--param")
 
 
 def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
-    """Return the parameter values of ``-p [NODE:]NAME:=VALUE`` for a node; the last one of a name counts."""
+    """Return the values of ``-p [NODE:]NAME:=VALUE`` for a node; of several values of a name the last one counts."""
     values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
     for word in words:
         if word in (BEGIN, END):
@@ -73,14 +73,16 @@ def _value(text: str):
     return value
 
 
-#: Limits that protect the connected device, by the last two words of their names, with the sign of a wider limit.
+#: Limits that protect the connected device, by the last two words of their names, with the sign of a change that widens
+#: the limit.
 WIDER = {"limits.minimum": -1.0, "limits.maximum": 1.0, "limits.slew_rate": 1.0, "safe_slew_rate": 1.0}
-#: Environment variable with allowed folders, as in PATH; default: the working folder of the node, except hidden files.
+#: Environment variable with the allowed folders, separated as in PATH. By default the working folder of the node is
+#: allowed, except hidden files.
 FOLDERS = "HYSTERESIS_FILES"
 
 
 def misplaced(row: ParameterRow, value) -> Problem | None:
-    """Return the problem of a value that was set over the graph; None when it is allowed.
+    """Return the problem of a path that was set over the graph; None if the path is allowed.
 
     Symbolic links and ``..`` are resolved first.
     """
@@ -126,7 +128,7 @@ _SETTABLE = {kind.value: kind.name.lower() for kind in Parameter.Type if kind !=
 
 
 def answered(serve):
-    """Return a service that reports an error in its answer."""
+    """Return a service that reports errors of ``serve`` in its answer."""
 
     def answer(request, response):
         try:
@@ -201,7 +203,7 @@ def _why_not(parameter) -> str:
 
 
 def _set_each(request, response, serve):
-    """Set parameters one by one: the refusal of one does not affect the others."""
+    """Set parameters one by one, so that the refusal of one does not affect the others."""
     for parameter in request.parameters:
         reason = _why_not(parameter)
         refused = [SetParametersResult(successful=False, reason=reason)] if reason else None
@@ -240,7 +242,7 @@ class TabledParameters(Node):
     interface: ParameterInterface
 
     def describe_parameter(self, name: str):
-        """Describe a parameter with its range, and whether it can be changed."""
+        """Return the description of a parameter, with its range and whether it can be changed."""
         return self.interface.described(super().describe_parameter(name))
 
     def list_parameters(self, prefixes: list, depth: int):
@@ -283,7 +285,7 @@ class ParameterInterface:
     def described(self, descriptor: ParameterDescriptor) -> ParameterDescriptor:
         """Return the published description of a parameter, with its type, its range and whether it can be changed.
 
-        rclpy itself does not get type and range, because it would refuse values without naming the allowed ones.
+        Type and range are not given to rclpy itself, because it would refuse values without naming the allowed ones.
         """
         row = self._rows.get(descriptor.name)
         if row is None:
@@ -309,7 +311,7 @@ class ParameterInterface:
         return full
 
     def with_values(self, listed: ListParametersResult) -> ListParametersResult:
-        """Return a list of parameters without those that have no value, which a file cannot express."""
+        """Return a list of parameters without those that have no value, because a file cannot express this."""
         listed.names = [name for name in listed.names if self._is_set(name)]
         return listed
 
@@ -338,7 +340,7 @@ class ParameterInterface:
             try:
                 return float(value)
             except OverflowError:
-                return shortened(value)  # a text is refused with the name of the parameter
+                return shortened(value)  # a text remains; it is refused later with the parameter's name
             except (TypeError, ValueError):
                 return value
         if row.type is str and isinstance(value, int) and not isinstance(value, bool):
@@ -370,8 +372,8 @@ class ParameterInterface:
             self._refuse_misplaced(changed)
             self._refuse_beyond_start(changed)
             if own or len(changed) < len(changes):
-                # another callback may refuse the other parameters after this one has applied its values, so the change
-                # would not be atomic
+                # another callback may refuse its parameters after this one has applied the others, so the change would
+                # not be atomic
                 raise ParameterError([Problem(", ".join(own), "", "set it alone, not together with other parameters")])
             if self.typed is None:
                 for name, value in changed.items():
@@ -388,7 +390,7 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse limits of the voltage wider than those at the start of the node; they protect the connected device."""
+        """Refuse voltage limits wider than those at the start of the node, which protect the connected device."""
         beyond = [name for name, value in changed.items() if self._is_beyond(name, value, self._at_start.get(name))]
         if beyond:
             raise ParameterError(
@@ -402,7 +404,7 @@ class ParameterInterface:
             )
 
     def _is_beyond(self, name: str, value, limit) -> bool:
-        """Return whether a value allows more voltage, or faster changes of it, than the limit at the start."""
+        """Return whether a value allows more voltage, or faster changes of the voltage, than the limit at the start."""
         sign = WIDER.get(".".join(name.split(".")[-2:]), 0.0)
         if not sign or self._rows[name].unit not in ("V", "V/s"):
             return False
@@ -420,7 +422,7 @@ class ParameterInterface:
             raise ParameterError(filter(None, problems))
 
     def _refuse_read_only(self, changed: dict) -> None:
-        """Refuse to change a read-only parameter while the node is configured; setting the same value is allowed."""
+        """Refuse changes of read-only parameters while the node is configured; setting the present value is allowed."""
         now = self._values()
         fixed = [name for name in changed if self._rows[name].read_only]
         problems = [

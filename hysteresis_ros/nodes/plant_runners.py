@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: this long before its end [s] an interruptible wait continues as a sleep, which is more accurate.
+#: Real time: an interruptible wait becomes a sleep, which is more accurate, this time before its end [s].
 EXACT_WAIT = 0.02
 
 #: Interval at which a device is kept alive between samples [s].
@@ -50,15 +50,15 @@ READERS = 3
 #: Delay [periods] above which the schedule is shifted; a smaller delay is caught up.
 FAR_BEHIND = 10.0
 
-#: Time [s] and number of periods without a voltage, the longer of which must pass until none counts as pending; and the
-#: maximum wait, as a multiple of this time.
+#: No voltage counts as pending after this time without a voltage: the longer of a time [s] and a number of periods. The
+#: third value is the maximum wait, as a multiple of that time.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Nodes whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
 
-#: After a node has joined the loop, voltages are counted again when this number of samples in a row was answered, and
-#: at the latest after this number of samples.
+#: After a node has joined the loop, voltages are counted again as soon as SETTLED samples in a row were answered, but
+#: at the latest after LONGEST_SETTLING samples.
 SETTLED, LONGEST_SETTLING = 10, 100
 
 #: Number of samples whose publication time is stored.
@@ -155,7 +155,7 @@ class LockstepPlant(Lockstep):
             return
         again = input_.topic in self._came
         if not self.is_measured or again:
-            # ignored before sample 0, and from a compensator that exits while the time is paused
+            # the voltage is ignored before sample 0, and if a compensator sends it at its exit while the time is paused
             if (self.is_measured and again) or (node.sample and node.running and not self._recorder_behind()):
                 text = f"a voltage on {input_.topic} does not belong to sample {node.sample}"
                 node.fail(f"{text}: {input_.partner} was restarted, or there are two; {TOGETHER}")
@@ -178,7 +178,7 @@ class LockstepPlant(Lockstep):
             return "every reader of joint_states"
         if self.is_measured:
             missing = [input_ for input_ in self.node.inputs if input_.topic not in self._came]
-            # the voltage depends on the other inputs: the partner of another missing input is closer to the cause
+            # the voltage depends on the other inputs, so the partner of another missing input is closer to the cause
             return f"{missing[-1].partner} (topic {missing[-1].topic})"
         return "recorder" if self._recorder_behind() else ""
 
@@ -194,7 +194,7 @@ class LockstepPlant(Lockstep):
 
 
 def remedy_for_late_voltages(device: bool, alone: bool) -> str:
-    """Return what makes voltages come in time, for a device or a simulation, whose node is alone in its process."""
+    """Return a remedy for late voltages of a device or a simulation; ``alone``: its node is alone in its process."""
     remedies = ["lower sample_rate" if device else "lower sample_rate or real_time_factor"]
     remedies += ["run the nodes composed"] if alone else []
     remedies += ["run the axis fused" if device else "run in lockstep"]
@@ -205,11 +205,11 @@ class RealTimePlant(RealTime):
     """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
     A voltage carries no number, so it is assigned to a sample by count. A voltage that answers an earlier sample is
-    late; the last voltage in time is held instead, unless ``late_limit`` allows any number or the loop is open. At the
-    first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered samples is unknown:
-    the next sample then waits until no voltage is pending, and the count starts there. A node that joins a running axis
-    does not delay the samples: voltages are accepted as they arrive until some samples in a row have been answered, and
-    are counted from there.
+    late; the last voltage in time is held instead, unless ``late_limit`` allows any number of late voltages or the loop
+    is open. At the first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered
+    samples is unknown: the next sample then waits until no voltage is pending, and the count starts with this sample. A
+    node that joins a running axis does not delay the samples: voltages are accepted as they arrive, and are counted
+    again as soon as some samples in a row have been answered.
     """
 
     def __init__(self, node):
@@ -259,7 +259,8 @@ class RealTimePlant(RealTime):
                 self._lost[reporter] = name
             else:
                 self._lost.pop(reporter, None)
-            # repeated for a plant that was restarted after its loss and may miss the first message
+            # the message may be a repetition for a plant that was restarted after its loss and may have missed the
+            # first one
             if state == LOST or (partner == PLANT and not node.part.tripped):
                 with node.lock:
                     node.lose(name)
@@ -282,7 +283,7 @@ class RealTimePlant(RealTime):
         return max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
 
     def _is_silent(self, input_, now: float) -> bool:
-        """Return whether an active node has sent no voltages within the time-out, at an awake time [s]."""
+        """Return whether an active node has sent no voltages for its time-out; ``now`` [s]: :class:`.AwakeTime`."""
         limit = self._loss_time
         if input_.received - input_.first < STARTING:
             limit = max(limit, STARTING)
@@ -290,7 +291,7 @@ class RealTimePlant(RealTime):
         return at_work and now - self._heard.get(input_.topic, now) > limit
 
     def replaced(self, topic: str, name: str) -> None:
-        """Handle voltages from another process of a node: the previous one is lost unless it has announced its stop."""
+        """Handle voltages from a new process of a node; the previous one is lost unless it has announced its stop."""
         node = self.node
         for input_ in node.inputs:
             partner = input_.partner
@@ -302,14 +303,14 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _await_voltages(self) -> None:
-        """Restart the measurement of silence, as for new partners: without this node no partner could send voltages."""
+        """Restart the measurement of silence, because no partner could send voltages while this node was inactive."""
         now = time.monotonic()
         for input_ in self.node.inputs:
             input_.first = now
             self._heard[input_.topic] = self._awake_time.at(now)
 
     def _look_for_losses(self) -> None:
-        """Stop the axis when voltages have stopped unannounced; called with the lock held."""
+        """Stop the axis when voltages have stopped without an announcement; called with the lock held."""
         node, part = self.node, self.node.part
         now = self._awake_time.look(time.monotonic())
         if part.silent and not self._gone and not node.leaving and not self._lost:
@@ -317,10 +318,10 @@ class RealTimePlant(RealTime):
             if silent and not part.lost:
                 node.lose(silent[0])
         if part.lost:
-            part.lose(part.lost)  # late voltages since then are not a separate reason
+            part.lose(part.lost)  # late voltages since the loss are not a separate reason
 
     def align(self) -> None:
-        """Restart the count of voltages before the next sample, which waits until none is pending."""
+        """Restart the count of voltages before the next sample, which waits until no voltage is pending."""
         self._unaligned = True
 
     def go_on(self) -> None:
@@ -376,10 +377,10 @@ class RealTimePlant(RealTime):
         self.is_measured = False
         self.node.stamps.go_on(self.node.sample)
         if self._thread is not None and not self._thread.is_alive():
-            self._start()  # the thread had ended with the last run
+            self._start()  # the thread has ended with the last run
 
     def hold(self, held: bool) -> None:
-        """Pause or resume the time of the axis, and inform the other nodes, which would otherwise count it as lost."""
+        """Pause or resume the time of the axis; inform the other nodes, which would else count the plant as lost."""
         self._excuse(held)
         if not held:
             with self.node.lock:
@@ -466,7 +467,7 @@ class RealTimePlant(RealTime):
                 deadline = time.monotonic()  # the schedule is shifted; samples are never dropped
             with node.lock:
                 if self._runs != published:
-                    continue  # a reset has intervened: there is no sample
+                    continue  # a reset has intervened, so there is no sample to end
                 self.end_sample(behind)
 
     def begin_sample(self) -> None:
@@ -500,7 +501,7 @@ class RealTimePlant(RealTime):
             self.node.part.forgive()
 
     def go_to_next(self, before: bool, behind: bool) -> None:
-        """Handle a stop of the axis in this sample (unless stopped ``before``); shift the schedule if ``behind``."""
+        """Handle a stop of the axis in this sample (not one ``before``); shift a schedule that is ``behind``."""
         node = self.node
         late = node.part.tripped and not before and not node.part.failure
         if late and self._is_open:
@@ -520,7 +521,7 @@ class RealTimePlant(RealTime):
 
     @property
     def _is_open(self) -> bool:
-        """Whether the loop is open: voltages are then not answers to samples."""
+        """Whether the loop is open, so that voltages are not answers to samples."""
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:
@@ -538,7 +539,7 @@ class RealTimePlant(RealTime):
             input_.value = math.nan
 
     def _is_behind(self, input_) -> bool:
-        """Return whether only voltages of earlier samples have arrived: Float64 messages are assigned by count."""
+        """Return whether only voltages of earlier samples have arrived; voltages are assigned to samples by count."""
         return bool(input_.received) and self._given.get(input_.topic, 0) < self._asked
 
     @property
@@ -588,7 +589,7 @@ class RealTimePlant(RealTime):
                 node.stamps.go_on(node.sample)
 
     def is_awaited(self, recorded: bool) -> bool:
-        """Return whether the loop is complete, and, with ``recorded``, the recorder is present."""
+        """Return whether the loop is complete and, if ``recorded`` is set, the recorder is present."""
         node = self.node
         complete = node.readers() >= READERS + recorded
         complete = complete and all(node.count_publishers(input_.full_name) for input_ in node.inputs)

@@ -10,8 +10,8 @@
 """Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it sets the sample times of the axis.
 
 The simulated plant is a part of the loop (:mod:`hysteresis_ros.loop.plant`); an inchworm has three voltages and four
-joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.device`). Its runner decides when a sample is
-processed (:mod:`hysteresis_ros.nodes.plant_runners`).
+joints. With a driver, a device takes the place of the simulated plant (:mod:`hysteresis_ros.loop.device`). The node's
+runner decides when a sample is processed (:mod:`hysteresis_ros.nodes.plant_runners`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from hysteresis_ros.nodes.triggers import TOPIC as TRIGGERS
 from hysteresis_ros.recordings.dataset import output_tolerance
 from hysteresis_ros.references.scan_clock import LEVELS
 
-#: Deviation of the stamps from the wall clock [ns] above which they are set to the wall clock again.
+#: Deviation from the wall clock [ns] above which the stamps are set to the wall clock again.
 OFF_CLOCK = 100_000_000
 
 
@@ -74,7 +74,7 @@ class Stamps:
         self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
         self._factor = parameters.real_time_factor
         self._start = 0
-        #: Present time when the stamps began [ns]; 0: not yet.
+        #: Time at which the stamps began [ns]; 0: not yet.
         self._origin = 0
         #: Stamp of the last published sample [ns].
         self.last = 0
@@ -96,11 +96,11 @@ class Stamps:
         self._origin = 0
 
     def go_on(self, sample: int) -> None:
-        """Restart the stamps with this sample: at the present time, or at zero when they are the time source.
+        """Restart the stamps with this sample: at the present time, or at zero if the stamps are the time source.
 
-        They never go back, even if the clock was set back or cannot be read, because no node accepts an earlier stamp.
-        With a real-time factor other than 1 the time since they began passes at this factor: at the wall clock's rate a
-        pause would be a gap of many more samples than it lasted.
+        Stamps never go back, even if the clock was set back or cannot be read, because no node accepts an earlier
+        stamp. With a real-time factor other than 1, the time in the stamps passes at this factor, also during a pause:
+        at the rate of the wall clock, a pause would appear as a gap of many more samples than it lasted.
         """
         wall = _wall_clock() or 0
         origin = self._origin or wall
@@ -110,7 +110,7 @@ class Stamps:
 
     @property
     def are_off_clock(self) -> bool:
-        """Return whether the stamps deviate from the wall clock because it was set; False if it cannot be read."""
+        """Return whether the stamps deviate from the wall clock because it was set; False for an unreadable clock."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
 
@@ -126,7 +126,7 @@ class VoltageInput:
         """Reset to the initial state."""
         self.value = math.nan
         self.received = 0.0
-        #: Number of voltages so far, and the time of the first one since the loop was last opened [s].
+        #: Number of voltages so far, and the time of the first voltage since the loop was last opened [s].
         self.count, self.first = 0, 0.0
         self.full_name = self.topic
 
@@ -184,7 +184,7 @@ def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, st
     return OK, ""
 
 
-#: Samples of a fused loop after which it is known whether a stopped axis resumes.
+#: Number of samples of a fused loop after which it is known whether a stopped axis resumes.
 OUTCOME = 3
 
 #: Time for the voltage of a device to reach its safe value before the node releases the device [s].
@@ -226,7 +226,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def is_seen(self) -> bool:
-        """Whether a camera measures the plant, which then publishes images in place of joint_states."""
+        """Whether a camera measures the plant; if so, the plant publishes images in place of joint_states."""
         return self.parameters.type == "camera"
 
     @property
@@ -277,7 +277,7 @@ class PlantSimulatorNode(AxisNode):
         """Release the device."""
         if self.is_fused:
             self.fused.end()
-        if self.part is not None and not self.is_fused:  # still fused: the device has not returned from a call
+        if self.part is not None and not self.is_fused:  # if still fused, a call of the device has not returned
             wrong = self.part.close()
             if wrong:
                 self.get_logger().error(wrong)
@@ -319,7 +319,7 @@ class PlantSimulatorNode(AxisNode):
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
     def state_signals(self) -> dict[str, str]:
-        """Return the content of ``~/state``; it lacks a device's true displacement, and a camera's measurement."""
+        """Return the content of ``~/state``, without a device's true displacement or a camera's measurement."""
         unknown = "displacement" if self.parameters.driver else "measured" if self.is_seen else ""
         return {name: signal for name, signal in super().state_signals().items() if name != unknown}
 
@@ -371,7 +371,7 @@ class PlantSimulatorNode(AxisNode):
             self._message.effort[0] = parameters.preload.force
 
     def change_details(self) -> dict:
-        """Return a field that marks a sample as already measured; a change then affects only what follows."""
+        """Return a field that marks a sample as already measured, so that a change affects only its later steps."""
         return {"after": MEASURED} if self.runner.is_measured else {}
 
     def _on_emergency(self, message) -> None:
@@ -459,7 +459,7 @@ class PlantSimulatorNode(AxisNode):
         return self._answer_service(response, "homing")
 
     def on_running(self, running: bool) -> None:
-        """Pause the time of the axis (``~/stop``), or resume it (``~/start``), also after a trip of the plant."""
+        """Pause the time of the axis (``~/stop``), or resume it (``~/start``), even after a trip of the plant."""
         self.runner.hold(not running)
 
     # -- samples -------------------------------------------------------------------------------------------------
@@ -529,7 +529,8 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
-        # only while the output returns to the path; the cause of a motion to safe is reported elsewhere
+        # counted only while the output returns to the path; the cause of a motion to the safe voltage is reported
+        # elsewhere
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
             self.held_back += int(differs)
@@ -573,7 +574,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def late(self) -> int:
-        """Number of late samples so far: samples with a late voltage, or skipped by a loop."""
+        """Number of late samples so far: samples with a late voltage, or samples that a loop has skipped."""
         return self.runner.late_samples
 
     def _limited_counts(self) -> dict[str, int]:
@@ -615,7 +616,7 @@ class PlantSimulatorNode(AxisNode):
         if not self.sample or self._told:
             return
         self._told = True
-        # not until now: making a device safe and closing it take their time
+        # measured only up to the last sample, because making a device safe and closing it take time
         wall = max(self._latest - self._first, 1e-9)
         rate = self.sample / wall
         factor = rate / self.parameters.sample_rate
@@ -639,7 +640,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def listens_at_exit(self) -> bool:
-        """Whether the node processes pending messages before it exits: the return of the voltage in real time."""
+        """Whether the node processes pending messages before it exits: in real time, voltages on the way to safe."""
         return not self.runner.exact
 
     def drained(self) -> bool:
@@ -660,7 +661,7 @@ class PlantSimulatorNode(AxisNode):
         super().destroy_node()
 
     def make_safe(self) -> None:
-        """Move a device to its safe state, unless a loop still runs it and holds the safe voltage."""
+        """Move a device to its safe state, unless a loop still runs the device and holds the safe voltage."""
         if self.is_fused and self.fused.loop.running:
             return
         patience = time.monotonic() + RETURN

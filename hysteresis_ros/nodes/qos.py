@@ -24,7 +24,7 @@ def loop_qos(keeps: bool, depth: int) -> QoSProfile:
     """Topics between the nodes of an axis.
 
     In lockstep (``keeps``) a publisher keeps the last ``depth`` messages for subscriptions that match later (transient
-    local): with volatile topics sample 0 can be lost, and the loop would wait forever. In real time old samples are
+    local): with volatile topics sample 0 could be lost, and the loop would wait forever. In real time old samples are
     useless.
     """
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

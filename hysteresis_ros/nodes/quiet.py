@@ -9,8 +9,9 @@
 
 """Quiet hold over ROS: the service ``~/quiet`` of a motion controller, and pulses of the trigger input.
 
-The drift is predicted by the creep model of the compensator. A fused axis reads its state; between nodes the controller
-reads the model from ``changes`` and follows it with the achieved commands.
+The drift is predicted by the creep model of the compensator. On a fused axis the controller reads the state of this
+model directly. Between nodes it reads the parameters of the model from ``changes``, and advances a copy of the model
+with the achieved commands.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class QuietHold:
         self._take_model(entry["action"] == signals.CONFIGURED)
 
     def _take_model(self, anew: bool) -> None:
-        """Build the creep model of the compensator at rest, as the compensator begins, or change its numbers."""
+        """Build the creep model at rest, as the compensator starts, or change its parameters (unless ``anew``)."""
         try:
             parameters = part(CompensatorNodeParameters.from_mapping(self._given), CompensatorParameters)
         except (ValueError, KeyError, TypeError, HysteresisError):
@@ -99,7 +100,7 @@ class QuietHold:
     # -- requests ------------------------------------------------------------------------------------------------
 
     def _begin(self, duration: float, tolerance: float = 0.0) -> str:
-        """Begin a quiet hold of a duration [s], or end it (0); return a description of it."""
+        """Begin a quiet hold of a duration [s], or end it (0); return a description of the hold."""
         node, forecast = self._node, self.forecast
         forecast.require(duration, tolerance)
         hindrance = self._hindrance()
@@ -125,7 +126,7 @@ class QuietHold:
         return node.hindrance() or running or wrong
 
     def _on_quiet(self, request, response):
-        """Begin a quiet hold and reply; its numbers come as parameters, because ROS has no service with numbers."""
+        """Begin a quiet hold and reply; the request has parameters, because ROS has no service with numbers."""
         values = {one.name: one.value for one in request.parameters}
         numbers = all(value.type == Parameter.Type.DOUBLE.value for value in values.values())
         reason = f"{QUIET} takes the parameters '{DURATION}' [s] and, if wanted, '{TOLERANCE}' [m], of type double"
@@ -146,7 +147,7 @@ class QuietHold:
         if not node.active:
             return
         if node.is_fused:
-            # with an action of its own the source has passed the pulse to the loop
+            # if the input has an action of its own, the source has passed the pulse to the loop
             if node.fused.source.parameters.triggers.input.action == "none":
                 node.fused.pulse()
             return

@@ -9,7 +9,7 @@
 
 """When moves are ready, over ROS: the topics ``ready``, ``ready_in`` and ``~/moves``, and the service ``~/move``.
 
-The reference generator predicts with the parameters of the controller and the compensator, which it reads from their
+The reference generator makes the predictions, with the parameters of controller and compensator that it reads from
 ``changes``. Predictions are computed in a thread; the loop does not wait for them.
 """
 
@@ -43,20 +43,21 @@ if TYPE_CHECKING:
 MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
 #: Time that the reference must rest before the noise is measured [s], and number of samples per evaluation.
 REST, BLOCK = 0.05, NoiseMeter.BLOCK
-#: Largest number of measurements of a move from which the predictor learns.
+#: The predictor learns at most from this number of measurements of a move.
 MOST = 20_000
-#: Largest number of jobs that wait: setpoints that follow each other faster than they are predicted are not predicted.
+#: Largest number of waiting jobs. If setpoints arrive faster than predictions are computed, some moves are not
+#: predicted.
 WAITING = 8
 #: Parameters of the nodes whose loop is predicted.
 KINDS = {signals.CONTROLLER: ControllerNodeParameters, signals.COMPENSATOR: CompensatorNodeParameters}
 
 
-#: A job of the thread; it returns a function for the thread of the node.
+#: A job of the thread; it may return a function that the thread of the node then calls.
 Job = Callable[[], Callable[[], object] | None]
 
 
 class MoveToReady:
-    """A move in progress, from its first sample or an earlier one; with the points of its trajectory, if it has one."""
+    """A move in progress since its first sample or an earlier one; ``path``: points of its trajectory, if any."""
 
     def __init__(self, number: int, first: int, setpoint: float, readiness: Readiness, path: dict | None):
         self.number, self.first, self.setpoint, self.path = number, first, setpoint, path
@@ -68,7 +69,7 @@ class MoveToReady:
         self.begun = self.done = False
 
     def look(self, number: int, row, offset: float) -> bool:
-        """Add a sample and its number; return whether the axis is ready. ``offset`` [m]: of the measurements."""
+        """Add a sample with its number; return whether the axis is ready. ``offset``: of the measurements [m]."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:
@@ -149,7 +150,7 @@ class ReadyTopics:
         node._topic_handles.append((node.destroy_service, service))
         self._thread = Thread(lambda text: node.warn("prediction", text))
         self._given: dict[str, dict] = {}
-        #: Offset of the preload [m] that the controller subtracts from the measurements; references are without it.
+        #: Offset of the preload [m] that the controller subtracts from the measurements; references do not contain it.
         self.offset = 0.0
         self._predictor: Predictor | None = None
         self._stale = True
@@ -201,7 +202,7 @@ class ReadyTopics:
                 if node == signals.CONTROLLER:
                     self.offset = _offset(self._given[node])
             elif node != signals.SOURCE or not any(name.startswith("shaping.") for name in parameters):
-                return  # nothing of the loop that is predicted
+                return  # these parameters do not affect the predicted loop
         except (ValueError, KeyError, TypeError):
             return
         self._stale = True
@@ -238,7 +239,7 @@ class ReadyTopics:
             self._foreseen = move
             given = move.setpoint, after, move.readiness.tolerance, dwell, noise, move.path
             move.predicted = self._predictor.predict(*given)
-        except Exception as error:  # the move is not predicted, and its client must hear of it
+        except Exception as error:  # the client must be told that the move is not predicted
             return partial(self._on_predicted, move, self._thread.report(error))
         return partial(self._on_predicted, move)
 
@@ -273,9 +274,9 @@ class ReadyTopics:
         return node.fused.loop.sample if node.is_fused else node.sample
 
     def begin(self, before: float, setpoint: float, path: dict | None = None, first: int | None = None) -> None:
-        """Monitor a move that the generator has accepted, from a setpoint to another one [m], from a sample on.
+        """Monitor an accepted move from the setpoint ``before`` to ``setpoint`` [m], from the sample ``first`` on.
 
-        Its tolerance is that of the request ``~/move``, or that of the parameters. ``path`` are the points of a
+        The tolerance is that of the request ``~/move``, or that of the parameters. ``path`` are the points of a
         trajectory.
         """
         node = self._node
@@ -308,7 +309,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
-        """Add samples, from number ``first`` on, shape (row length, N); a single row only while there is a move."""
+        """Take samples from number ``first`` on, shape (row length, N); while there is a move, each one separately."""
         self._thread.take()
         for number, row in enumerate(table.T.tolist() if self.move is not None else (), first):
             if self.move is not None:
@@ -319,7 +320,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def _meter_noise(self) -> None:
-        """Let the meter take the samples since the last time, if they make a block."""
+        """Let the meter take the samples since its last block, if they fill a block."""
         if len(self._block) >= BLOCK:
             self._meter.take(*zip(*self._block, strict=True))
             self._block.clear()
@@ -354,7 +355,7 @@ class ReadyTopics:
         self._tell(False, math.nan)
 
     def fall_silent(self) -> None:
-        """Withdraw ``ready`` while no samples arrive; only a fused axis delivers the missing ones later."""
+        """Report not ready while no samples arrive; the move ends, unless a fused axis delivers the samples later."""
         if not self._node.is_fused:
             self.stop("no samples arrive")
         elif self._told is not None and self._told[0]:

@@ -11,15 +11,17 @@
 
 Within a sample the order is the same as in lockstep: a measurement is answered when the other inputs of its sample have
 arrived. Float64 messages carry no number, so they are assigned to measurements by count. An input that has not arrived
-by the next measurement is late: the sample is answered without it, and its message is not assigned to the next one. An
-input that is late repeatedly is not awaited until it returns.
+by the next measurement is late: the sample is answered without this input, and the late message is not assigned to the
+next sample. If an input is late in several samples in a row, the node stops waiting for it until a message arrives
+again.
 
-A partner is *lost* when its silence exceeds the time-out of the node that needs it, and a few samples, unless it
-has announced that it stops; time in which the node's own process was halted does not count (:class:`AwakeTime`). The
-node then keeps its own part safe and informs the plant, which stops the axis. The stop is latched: the axis resumes
-when the partner is back and a person calls ``~/start``. This holds for the loss of any node and at any sample rate. A
-partner that has just started may be silent for longer, because a busy machine then leaves gaps between its messages. A
-partner that is replaced by another process without having announced that it stops counts as lost at any time.
+A partner is *lost* when it has been silent for longer than the time-out of the node that needs it, and for more than a
+few samples, unless it has announced that it stops. Time in which the node's own process was halted does not count
+(:class:`AwakeTime`). The node then keeps its own part safe and informs the plant, which stops the axis. The stop is
+latched: the axis resumes when the partner is back and a person calls ``~/start``. This holds for the loss of any node
+and at any sample rate. A partner that has just started may be silent for longer, because on a busy machine its first
+messages have gaps. A partner that is replaced by another process without having announced that it stops always counts
+as lost.
 """
 
 from __future__ import annotations
@@ -53,31 +55,32 @@ UNDER_WAY = 2
 PRESENCES = 20
 
 #: Number of messages after which a partner that has not reported its kind can be lost; allowed silence of a partner
-#: that has just begun, while the nodes of an axis start [s]; and allowed silence of any partner [samples].
+#: that has just begun, because the nodes of an axis are still starting [s]; and allowed silence of any partner
+#: [samples].
 AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
 
 #: Reason for the loss of a partner that has been replaced.
 ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not announced that it stops"
 
-#: The node that sets the sample times; without its measurements no other node can be expected to send anything.
+#: The node that sets the sample times; without its measurements no other node has anything to send.
 PLANT = "plant_simulator"
 
-#: Fraction of the loss time after which measurements count as paused; afterwards, answers are matched from the start.
+#: Fraction of the loss time after which measurements count as paused; after a pause, the matching of answers restarts.
 PAUSED = 0.5
 
 #: Consecutive samples that an input may miss before it is no longer awaited.
 GIVE_UP = 3
 
-#: Number of consecutive measurements at which a message already waits, after which the oldest message is dropped.
+#: If a message already waits at more than this number of consecutive measurements, the oldest message is dropped.
 SUSPICION = 50
 
-#: Maximum number of waiting measurements; beyond it the oldest ones are answered.
+#: Maximum number of waiting measurements; if more wait, the oldest ones are answered.
 BACKLOG = 2
 
 #: Checks of the inputs that may be missed before the process itself counts as halted or short of processor time.
 SUSPENDED = 10
 
-#: A message within this fraction of a period after the last one has waited in the queue.
+#: A message that arrives within this fraction of a period after the last one has waited in the queue.
 WAITED = 0.5
 
 #: Maximum number of samples counted in one check of a stopped input.
@@ -96,7 +99,7 @@ class AwakeTime:
         self._looked = (0.0, time.monotonic())  # a single value, because two threads read it
 
     def at(self, moment: float) -> float:
-        """Return the awake time at an instant of the monotonic clock, not before the last check."""
+        """Return the awake time at an instant of the monotonic clock that is not before the last check."""
         awake, looked = self._looked
         return awake + min(moment - looked, self._longest)
 
@@ -107,7 +110,7 @@ class AwakeTime:
 
 
 class Follower:
-    """One Float64 input in real time: its messages wait for their measurements."""
+    """One Float64 input in real time; each message waits for the measurement of its sample."""
 
     def __init__(self, strict: bool):
         self.strict = strict
@@ -179,7 +182,7 @@ class RealTime(Runner):
     is_live = False
 
     def require_rest(self) -> None:
-        """Refuse to reset one part of a moving axis, which would be a step of its output."""
+        """Refuse to reset one part of a moving axis, because the output of the part would step."""
         node = self.node
         if node.active and not node.rests and self.is_live:
             raise HysteresisError(
@@ -200,7 +203,7 @@ class RealTime(Runner):
         self._presence.publish(String(data=f"{HERE} {self.node.kind}"))
 
     def begin_again(self) -> None:
-        """Announce a reset: pending messages will not be answered."""
+        """Announce a reset, because pending messages will not be answered."""
         if self.node.active:
             RealTime.begin(self)
 
@@ -329,7 +332,7 @@ class RealTimeResponder(RealTime):
         return time.monotonic() - self._last if self.node.sample else math.inf
 
     def _stood_still(self, now: float) -> bool:
-        """Return whether the last check of the inputs is older than a measurement may be."""
+        """Return whether the last check of the inputs is so long ago that a measurement may have waited too long."""
         return now - self._looked > max(self.node.patience, SUSPENDED * WATCHDOG_PERIOD) + WATCHDOG_PERIOD
 
     def _has_waited(self) -> bool:
@@ -397,7 +400,7 @@ class RealTimeResponder(RealTime):
         self._answer_waiting()
 
     def _lend(self, message) -> None:
-        """Store a measurement that triggers no answer, and publish the state of an answer that waits for its stamp."""
+        """Store a measurement that triggers no answer; publish the state of an answer that waits for its stamp."""
         node = self.node
         if not node.read(message, node.row):
             return
@@ -418,7 +421,7 @@ class RealTimeResponder(RealTime):
             return False
         if not math.isfinite(data):
             node.refuse_value(input_, data)
-            return False  # as if it had not arrived
+            return False  # such a message counts as missing
         node.pace.tick()
         self._arrived()
         node.take(input_, data)
@@ -427,7 +430,7 @@ class RealTimeResponder(RealTime):
     def pair_answer(self) -> None:
         """Publish ``~/state`` of the last answer if its measurement has arrived."""
         node = self.node
-        # one message is from the plant and one from the controller, so their order is random
+        # the measurement comes from the plant and the command from the controller, so their order is random
         values = node.state_values()
         stamp = self._pairing.answer(values, self._last)
         if stamp is not None:
@@ -469,7 +472,7 @@ class RealTimeResponder(RealTime):
         self._note(0, PLANT)
 
     def _missing(self, now: float) -> dict[str, str]:
-        """Return the lost partners at an awake time [s]: kind → full name, or kind when the name is not known."""
+        """Return the lost partners: kind → full name, or kind if unknown. ``now`` [s] is from :class:`AwakeTime`."""
         node, excused = self.node, self._gone | self._coming
         heard, counts = self._heard_at, self._heard_count
 
@@ -495,7 +498,7 @@ class RealTimeResponder(RealTime):
         }
 
     def _look_for_losses(self, now: float) -> None:
-        """Keep the part safe and inform the plant when a partner is lost; inform it when the partner is back."""
+        """Keep the part safe while a partner is lost; inform the plant of the loss and of the partner's return."""
         missing = self._missing(now)
         for partner, name in missing.items():
             if partner not in self._lost or not self.latched:
@@ -527,14 +530,14 @@ class RealTimeResponder(RealTime):
             self._lose(partner, name or partner, ANOTHER_PROCESS)
 
     def follow_trip(self, tripped: bool) -> None:
-        """Resume when the plant, which was stopped because of the loss, is started again."""
+        """Resume when the plant, which has stopped because of a loss, is started again."""
         self._stopped = tripped
         self._going = max(self._going - 1, 0) if tripped else 0
         if self.latched and tripped:
             self._has_tripped = True
         elif self.latched and self._has_tripped and self.unlatch():
             self._has_tripped = False
-            for partner, name in self._lost.items():  # the plant was reset and has lost this state
+            for partner, name in self._lost.items():  # the plant was reset, and no longer knows of the loss
                 self.say_of(LOST, partner, name)
 
     @property
@@ -547,7 +550,7 @@ class RealTimeResponder(RealTime):
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
-        """Resume the part after the loss of a partner; return why it cannot, or ''."""
+        """Resume the part after the loss of a partner; return the reason if it cannot resume, otherwise ''."""
         if not self.latched:
             return ""
         if self._lost:
@@ -588,6 +591,6 @@ class RealTimeResponder(RealTime):
             node.miss(0)
             self._counted = now
         elif samples:
-            # a late check must not catch up in one step
+            # after a late check, the missed samples must not be processed in one step
             node.miss(min(samples, max(round(WATCHDOG_PERIOD / self.period), 1)))
             self._counted = now

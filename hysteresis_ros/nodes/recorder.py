@@ -55,7 +55,7 @@ SILENCE = 0.3
 
 
 def sampled_topics(kind: AxisKind, external: bool = False):
-    """Return the topics with exactly one message per sample, their types, and their publishers.
+    """Return the topics with exactly one message per sample, with their types and publishers.
 
     An external plant need not publish its state.
     """
@@ -75,7 +75,7 @@ def sampled_topics(kind: AxisKind, external: bool = False):
 
 
 class RecorderNode(AxisNode):
-    """Writes MCAP in chunks; nothing is lost at exit, Ctrl-C or SIGTERM, and at most one open chunk at SIGKILL."""
+    """Writes MCAP in chunks: at exit, Ctrl-C or SIGTERM nothing is lost, and at SIGKILL at most the open chunk."""
 
     identity = ("path",)
     has_state = False
@@ -122,7 +122,7 @@ class RecorderNode(AxisNode):
         self.reset_blocks()
 
     def open_bag(self, parameters) -> GuardedBag:
-        """Return a new bag, with the origin of the run and the files that its configuration names."""
+        """Return a new bag that contains the origin of the run and the files that the configuration names."""
         require_space(parameters.path, parameters.min_space)
         split = {"max_bag_size": parameters.max_bag_size, "max_bag_duration": parameters.max_bag_duration}
         bag = BagWriter(parameters.path, **split)
@@ -165,11 +165,11 @@ class RecorderNode(AxisNode):
 
     @property
     def is_fused(self) -> bool:
-        """Whether a loop computes its samples: never, because a recorder computes nothing."""
+        """Whether a loop computes the samples of this node: never, because a recorder computes nothing."""
         return False
 
     def _described(self, source: str):
-        """Return the configuration in the recorded text; None for any other text, which is recorded too."""
+        """Return the configuration in the recorded text; None for any other text, which is also recorded."""
         try:
             return parse_configuration(self._configuration, source)
         except ConfigurationError:
@@ -181,7 +181,7 @@ class RecorderNode(AxisNode):
         return self._scan_clock
 
     def reset_blocks(self) -> None:
-        """Restart the count at sample 0; the bag continues, and its readers show the longest run."""
+        """Restart the count at sample 0; the bag continues, and readers of the bag show its longest run."""
         self._counts = [0] * len(self._topics)
         self._acknowledged = 0
         self._ended: set[str] = set()
@@ -199,8 +199,8 @@ class RecorderNode(AxisNode):
             # an external plant may report its outputs here
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # setpoints come from the node that accepts them: a publisher that exits after its message may be discovered too
-        # late
+        # setpoints are recorded from the node that accepts them, because a publisher that exits soon after its message
+        # may be discovered too late
         heard = f"{self._axis_kind.source}/taken"
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
@@ -245,7 +245,7 @@ class RecorderNode(AxisNode):
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
                 return  # an external plant continues to measure
             if topic == "setpoint" and not heard and self.count_publishers(self._taken):
-                return  # written when it is accepted
+                return  # the message is written when it is accepted
             self.recording.attempt(lambda bag: bag.write(written, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
@@ -265,7 +265,7 @@ class RecorderNode(AxisNode):
         return self.fused is not None and self.runner is not None and not self.runner.by_message
 
     def _is_taken(self, data: bytes) -> bool:
-        """Return whether an entry is of a change log in this process, which is read directly."""
+        """Return whether an entry belongs to a change log in this process, which is read directly."""
         with contextlib.suppress(ValueError, AttributeError):
             logs = self.fused.nodes if self._takes_logs else ()
             return read_json(deserialize_message(data, String).data).get("node") in logs
@@ -280,7 +280,7 @@ class RecorderNode(AxisNode):
                 self._ended.add(entry.get("node"))
 
     def _lacking_changes(self) -> set[str]:
-        """Return the nodes whose change log has not ended; none after the time-out for repeated lost messages."""
+        """Return the nodes whose change log has not ended; after the time-out for lost messages return none."""
         waited = time.monotonic() - self._last_arrival
         if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
             return set()
@@ -294,14 +294,14 @@ class RecorderNode(AxisNode):
             self.runner.heard()
         if index == 0:
             self.pace.tick()
-            self.sample = counts[0] - 1  # the present sample; the first one may last until all nodes have started
+            self.sample = counts[0] - 1  # the present sample; sample 0 may last until all nodes have started
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
     # -- samples that a loop in this process makes ---------------------------------------------------------------
 
     def record_loop(self, fused) -> None:
-        """Read all samples of a loop from its ring instead of messages, from its next sample on."""
+        """From a loop's next sample on, read all samples from its ring instead of messages."""
         plant = fused.plant
         parameters = plant.parameters
         if self._samples is None and self.bag is not None:
@@ -319,7 +319,7 @@ class RecorderNode(AxisNode):
         self._reader, self._fused_plant = fused.reader(), plant
 
     def take_samples(self) -> None:
-        """Write the new samples of the loop, preceded by the changes for these samples."""
+        """Write the new samples of the loop, and before them the changes that affect these samples."""
         taken = self._reader.take() if self._reader is not None else None
         self._take_changes()
         if taken is None or self._samples is None or self.bag is None:
@@ -370,7 +370,8 @@ class RecorderNode(AxisNode):
         if recording.stopped:
             self.warn("stopped", f"recording ended: {recording.stopped}", every=60.0, error=True)
         if not self._began:
-            # real-time topics keep nothing for a late subscriber: release the plant when all publishers are present
+            # real-time topics keep no messages for a late subscriber, so the plant is released when all publishers are
+            # present
             self._began = now > self._patience or all(map(self.count_publishers, (*self._sampled, self._taken)))
             if self._began:
                 self._send_acknowledgement()
@@ -390,7 +391,7 @@ class RecorderNode(AxisNode):
         """Return whether every message of the run is in the bag."""
         return min(self._counts) >= self.end_of_run and not self._lacking_changes()
 
-    #: Longest delay of messages on a busy machine [s]; the last messages are those of an axis that moves to safe
+    #: Longest delay of messages on a busy machine [s]; the last messages come from an axis that moves to its safe
     #: values.
     listens_for = 3.0
 

@@ -11,10 +11,11 @@
 
 A generator that starts with its axis begins as configured: at ``initial_setpoint``, with its waveform. A generator that
 is restarted on a running axis begins at the present position of the axis and holds it until a setpoint arrives. It
-reads the position from ``~/state`` of the controller, because a measurement includes the preload and the control error.
+reads this position from ``~/state`` of the controller, because a measurement also contains the preload and the control
+error.
 
-With an external plant it also begins and ends the run: when the loop is complete and the recorder is present, it
-answers the measurements of the external node for the given number of samples.
+With an external plant, the generator also begins and ends the run: when the loop is complete and the recorder is
+present, it answers the measurements of the external node for the given number of samples.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, ac
 from hysteresis_ros.references.moves import Settling
 from hysteresis_ros.references.waveforms.scan import clock_of
 
-#: Time after the first measurement to search for a controller, and to wait for one that is present but silent because
-#: it is not active [s].
+#: Times after the first measurement [s]: to search for a controller, and to wait for a controller that is present but
+#: silent because it is not active.
 CONTROLLER_LOOK, CONTROLLER_PATIENCE = 1.0, 5.0
 
 #: Modes of a controller that follows its reference.
@@ -82,7 +83,7 @@ class Beginning:
             )
 
     def take(self, message) -> bool:
-        """Return whether this measurement may be answered, which requires a known beginning."""
+        """Return whether this measurement may be answered, which is so once the beginning is decided."""
         node = self._node
         if not self._known and node.active:
             now = time.monotonic()
@@ -96,16 +97,19 @@ class Beginning:
         return self._known
 
 
-#: Time-out for the beginning of a run of given length, and interval of the log message about it [s].
+#: Time-out for the beginning of a run of given length, and interval of the log messages about the waiting [s].
 START_PATIENCE, START_REPORT = 30.0, 5.0
 
-#: Measurements between a complete loop and the first sample, in which the nodes match answers to measurements.
+#: Number of measurements between the completion of the loop and the first sample, in which the nodes learn to match
+#: answers to measurements.
 SETTLING_SAMPLES = Pairing.SUSPICION + 20
 
-#: Time between the last sample and the end of the run [s]: on a busy machine other nodes answer after the source.
+#: Time between the last sample and the end of the run [s], because on a busy machine other nodes answer later than the
+#: source.
 END_GRACE = 0.5
 
-#: Number of measurements whose stamps determine their rate, and its allowed relative deviation from ``sample_rate``.
+#: Number of measurements from whose stamps their rate is determined; allowed relative deviation of this rate from
+#: ``sample_rate``.
 RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
 
 
@@ -129,7 +133,7 @@ class ExternalRun:
         self._recorded = True
 
     def _on_voltage(self, message) -> None:
-        """Store that controller and compensator are connected: they answer before the first reference."""
+        """Store that controller and compensator are connected, because they answer before the first reference."""
         self._answered = True
 
     def begin(self) -> None:
@@ -187,7 +191,7 @@ class ExternalRun:
         self._noted = True
         steps = sorted(later - earlier for earlier, later in zip(self._stamps[:-1], self._stamps[1:], strict=True))
         wanted, rate = self._node.parameters.sample_rate, len(steps) / span
-        # a burst distorts the median interval and a gap distorts the count; a wrong rate shows in both
+        # a burst distorts the median interval, and a gap distorts the count; a wrong rate distorts both
         usual = 1e9 / max(steps[len(steps) // 2], 1)
         self._stamps.clear()
         if min(abs(rate - wanted), abs(usual - wanted)) > RATE_TOLERANCE * wanted:
@@ -215,7 +219,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     parameters: ReferenceNodeParameters
     identity = ("waveform.type",)
-    #: Without measurements no samples are counted, because there is nothing to answer.
+    #: Infinite, because without measurements there is nothing to answer, so no samples are counted.
     patience = math.inf
     outputs = (("reference", signals.REFERENCE),)
 
@@ -224,7 +228,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.trajectories: Trajectories | None = None
         self.action: TrajectoryAction | None = None
         self.ready: ReadyTopics | None = None
-        #: Clock of the scan that the axis follows; None: it has never followed one.
+        #: Clock of the scan that the axis follows; None: the axis has never followed a scan.
         self.scan_clock: ScanClockTopic | None = None
 
     def build(self, parameters) -> None:
@@ -241,7 +245,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         _REFER(self._laws, self._arrays, self.row)
 
     def after_step(self) -> None:
-        """Update the pending moves, and the setpoint that a trajectory may have set."""
+        """Update the pending moves, and the setpoint, which a trajectory may have changed."""
         super().after_step()
         self.setpoint = self.row[signals.SETPOINT]
         if self.trajectories is not None:
@@ -259,16 +263,16 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._connect_part()
 
     def retuned(self, parameters) -> None:
-        """Let the clock follow another waveform, and offer triggers."""
+        """Let the clock of the scan follow the new waveform, and offer triggers."""
         super().retuned(parameters)
         self.offer_triggers(parameters)
         if parameters.waveform != self.parameters.waveform:
             if self.is_fused:
-                self.fused.show()  # the samples of the previous waveform
+                self.fused.show()  # publishes the samples of the previous waveform
             self.follow_scan(parameters.waveform)
 
     def follow_scan(self, waveform) -> None:
-        """Let the clock follow the scan of a waveform; without a scan it is silent."""
+        """Let the clock follow the scan of a waveform; without a scan the clock is silent."""
         scans = waveform.type == "scan" and waveform.scan.clock != "none"
         if scans and self.scan_clock is None:
             self.scan_clock = self.make_scan_clock()
@@ -341,14 +345,14 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.trajectories = self.action = self.scan_clock = self.ready = None
 
     def forget_settled(self) -> None:
-        """Restart the settling detection; an axis that is not measured is not ready."""
+        """Restart the settling detection, because an axis that is not measured is not ready."""
         self.settling.restart()
         if self.ready is not None:
             self.ready.fall_silent()
 
     @property
     def offset(self) -> float:
-        """Part of a measurement that belongs to no reference [m]: the preload's offset in the controller."""
+        """Part of a measurement that no reference contains [m]: the controller's offset of the preload."""
         return 0.0 if self.ready is None else self.ready.offset
 
     def look_at(self, rows) -> None:
@@ -371,7 +375,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             clock.take_all(first, table, self.fused.plant.stamps.of_all, self.scan_axis)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
-        """Make the reference follow a trajectory, or come to rest, from the next sample on, and log it."""
+        """Make the reference follow a trajectory, or come to rest, from the next sample on; log this change."""
         if self.is_fused:
             self.fused.apply(self.kind, action, parameters)
         else:
@@ -388,7 +392,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return lambda message: taken(message) if all(one.take(message) for one in awaited) else None
 
     def begin_at(self, position: float) -> None:
-        """Begin at the position of a running axis [m]; a setpoint that has arrived meanwhile starts from there."""
+        """Begin at the position of a running axis [m]; a move to a setpoint that has arrived meanwhile starts there."""
         asked = self.setpoint != self.parameters.initial_setpoint
         self.part.begin_at(position)
         if not asked:
@@ -397,7 +401,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     @property
     def unasked(self) -> bool:
-        """Whether it holds its initial position because it has not received any request."""
+        """Whether the generator holds its initial position because it has received no request."""
         return self.part is not None and self.part.generator.unasked
 
     def on_running(self, running: bool) -> None:
@@ -412,14 +416,14 @@ class ReferenceGeneratorNode(ReferenceSource):
         return super()._on_start(request, response)
 
     def reset_blocks(self) -> None:
-        """Reset: waveform at its start, setpoint as configured."""
+        """Reset the waveform to its start, and the setpoint to the configured one."""
         super().reset_blocks()
         self.setpoint = self.parameters.initial_setpoint
         if self.ready is not None:
             self.ready.stop("the axis was reset")
 
     def take_setpoint(self, value: float) -> str:
-        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
+        """Take a setpoint [m]; return why it is refused, or an empty text if it is taken."""
         reason = self.part.generator.refuse(value)
         if reason:
             return reason

@@ -24,7 +24,7 @@ from hysteresis_ros.nodes.triggers import INPUT, TriggerTopic
 from hysteresis_ros.nodes.triggers import NAMES as TRIGGER_NAMES
 from hysteresis_ros.units import micrometres
 
-#: Interval of the check for missing samples, and the time they may be missing [s].
+#: Interval of the check for missing samples, and the time for which samples may be missing [s].
 LOOK, SILENCE = 0.1, 0.3
 
 
@@ -40,7 +40,7 @@ SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
 
 
 class ReferenceSource(Responder):
-    """A node that takes setpoints: on topics, and by a service that answers.
+    """A node that takes setpoints on topics, and by a service that replies.
 
     Every accepted setpoint is published on ``~/taken``, which is recorded; the reason of a refusal is published on
     ``~/refused``, because a topic has no answer.
@@ -51,7 +51,7 @@ class ReferenceSource(Responder):
     refused = 0
     #: Setpoint in force [m].
     setpoint = 0.0
-    #: Last published value of ``~/settled``; None: a node without topics has nothing to withdraw.
+    #: Last published value of ``~/settled``; None: the node has no topics, so there is no value to withdraw.
     _told: bool | None = False
     #: Topic of the triggers; None: the axis makes no triggers.
     trigger_out: TriggerTopic | None = None
@@ -80,7 +80,7 @@ class ReferenceSource(Responder):
             self.subscriber(Empty, INPUT, self._on_pulse, setpoint_qos())
 
     def begin(self) -> None:
-        """Start the check for missing samples: an axis that is not measured has not settled."""
+        """Start the check for missing samples, because an axis that is not measured has not settled."""
         self.timer(LOOK, self._look_for_samples)
 
     def _look_for_samples(self) -> None:
@@ -169,11 +169,11 @@ class ReferenceSource(Responder):
             self.tell_settled(False)
 
     def take_setpoint(self, value: float) -> str:
-        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
+        """Take a setpoint [m]; return why it is refused, or an empty text if it is taken."""
         raise TypeError(f"{type(self).__name__} must implement how it takes setpoints")
 
     def take_and_tell(self, value: float) -> str:
-        """Take a setpoint [m] and publish it, or refuse it; publish and return the reason."""
+        """Take a setpoint [m] and publish it, or refuse it and publish the reason; return the reason."""
         reason = self.take_setpoint(value)
         if reason:
             reason = f"{reason}; {micrometres(self.setpoint)} is kept"
@@ -186,7 +186,7 @@ class ReferenceSource(Responder):
         self.take_and_tell(message.data)
 
     def _on_set_setpoint(self, request, response):
-        """Take a setpoint and reply; the setpoint comes as a parameter, because ROS has no service with one number."""
+        """Take a setpoint and reply; the request has a parameter, because ROS has no service with one number."""
         given = [(one.name, one.value) for one in request.parameters]
         if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
             reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"

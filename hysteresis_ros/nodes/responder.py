@@ -26,7 +26,7 @@ from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
 TRIPPED_FRAME = signals.TRIPPED_FRAME
-#: Maximum number of joints in a measurement among which the joint of the axis is searched.
+#: Maximum number of joints in a measurement; the joint of the axis is searched among them.
 MOST_JOINTS = 1000
 
 
@@ -36,9 +36,10 @@ class Input:
 
     topic: str
     signal: int  #: Index in the row.
-    partner: str  #: Node that publishes it.
-    previous: bool = False  #: Whether it belongs to the previous sample, like the achieved command.
-    strict: bool = False  #: Whether a late message is not replaced by the last one in real time.
+    partner: str  #: Node that publishes the topic.
+    previous: bool = False  #: Whether a message belongs to the previous sample, as that of the achieved command does.
+    #: Whether, in real time, a late message counts as missing; otherwise the last message replaces it.
+    strict: bool = False
 
 
 class Responder(AxisNode):
@@ -95,7 +96,7 @@ class Responder(AxisNode):
         return super()._on_start(request, response)
 
     def hindrance(self) -> str:
-        """Return why this node does not work although the user has not stopped it; empty when it works."""
+        """Return why this node does not run although the user has not stopped it; empty when it runs."""
         # a fused loop has advanced since its last sample was shown
         row = self.fused.latest()[1] if self.is_fused else self.row
         tripped = abs(row[signals.TRIPPED]) > 0.0 and not self.runner.goes_on
@@ -148,7 +149,7 @@ class Responder(AxisNode):
         return self.runner.measurement
 
     def read(self, message, row) -> bool:
-        """Put the measurement of the joint into a row, NaN when it is missing; return False when it breaks the run."""
+        """Put the measurement of the joint, or NaN, into a row; return False if the message breaks the run."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index
         self.read_trip(message, row)
         row[signals.MEASURED] = math.nan
@@ -209,7 +210,7 @@ class Responder(AxisNode):
         """Put the user's requests into the row."""
 
     def after_step(self) -> None:
-        """Handle the result of the part."""
+        """Handle what the part has computed."""
 
     def answer(self, stamp) -> None:
         """Answer the sample in the row."""
@@ -248,7 +249,7 @@ class Responder(AxisNode):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the input of the part has been unusable for its time-out."""
+        """Whether the input of the part has been missing or unusable for the time-out."""
         return False
 
     def say_silent(self) -> None:
@@ -267,4 +268,4 @@ class Responder(AxisNode):
         self.publish_outputs()
 
     def after_missing(self) -> None:
-        """Handle the result of the part without a trigger."""
+        """Handle what the part has computed in a sample without a trigger."""

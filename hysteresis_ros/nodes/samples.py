@@ -9,8 +9,9 @@
 
 """Bulk data of the plant: all samples of a fused axis in blocks, and the frames of a plant with a camera.
 
-The other topics of a fused axis show the last sample at ``publish_rate`` and would miss a peak between two of them. A
-block is a table: a row for each quantity, named in the label of the first dimension, and a column for each sample.
+The other topics of a fused axis contain only the last sample, at ``publish_rate``, and would miss a peak between two
+messages. A block is a table with a row for each quantity and a column for each sample; the label of the first dimension
+contains the names of the quantities.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ FRAMES = "image"
 
 
 def camera_qos() -> QoSProfile:
-    """Quality of service of frames in real time: best effort, matching any camera, only the last frame."""
+    """Quality of service of frames in real time: best effort, which matches any camera, and only the last frame."""
     return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
@@ -149,12 +150,12 @@ class FramePublisher:
         self._publisher.publish(message)
 
     def get_subscription_count(self) -> int:
-        """Return the number of subscribers of the measurement from the frames; 0 while no node reads the frames."""
+        """Return the number of subscribers of the measurement made from the frames; 0 if no node reads the frames."""
         node = self._node
         seen = self._publisher.get_subscription_count()
         return node.count_subscribers(node.resolve_topic_name("joint_states")) if seen else 0
 
 
 def output_of(node):
-    """Return the publisher of a plant's samples: of its joint_states, or of its frames."""
+    """Return the publisher of a plant's samples, which are joint_states or frames."""
     return FramePublisher(node) if node.is_seen else node.publisher(JointState, "joint_states", node.qos(), loop=True)

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Topic ``scan_clock``: a message for each frame, line or pixel of a scan that begins, with the stamp of its sample.
+"""Topic ``scan_clock``: a message when a frame, line or pixel of a scan begins, with the stamp of the sample.
 
-The edges follow from the samples of the waveform in the reference generators (``waveform_sample``). So it stays true
-when the scan is stopped, started again or ends, when samples are skipped, and after a change of the waveform.
+The messages follow from the samples of the waveform in the reference generators (``waveform_sample``). So the clock
+stays correct when the scan is stopped, restarted or ends, when samples are skipped, and after a change of the waveform.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from hysteresis_ros.signals import WAVEFORM_SAMPLE
 
 #: Name of the topic, in the namespace of the axis or of the stage, and its queue depth.
 TOPIC, KEPT = "scan_clock", 1000
-#: Contents of ``position``: numbers that begin (-1: not at this level), direction (1: trace, -1: retrace, 0: a frame),
-#: and the time from the exact beginning to the stamp [s].
+#: Contents of ``position``: numbers of the frame, line and pixel that begin (-1: none of this kind), direction (1:
+#: trace, -1: retrace, 0: a frame), and the time from the exact beginning to the stamp [s].
 NAMES = ("frame", "line", "pixel", "direction", "delay")
 #: Number of samples for which the answers of other axes are awaited.
 AWAITED = 100
@@ -39,7 +39,8 @@ AWAITED = 100
 class ScanClockTopic:
     """Publishes the clock of a scan that one axis follows, or several axes of a stage with one clock.
 
-    A sample in which the axes are not at the same sample of their waveforms has no clock: their path is not the scan.
+    A sample in which the axes are not at the same sample of their waveforms gives no message, because the path of the
+    axes is then not the scan.
     """
 
     def __init__(self, node, topic: str, axes: int = 1):
@@ -47,7 +48,7 @@ class ScanClockTopic:
         self._publisher = node.publisher(JointState, topic, loop_qos(node.runner.keeps, KEPT))
         self.name = self._publisher.topic_name
         self._message = JointState(name=list(NAMES))
-        #: Additionally receives stamp [ns] and contents of each message, where a recorder reads no messages.
+        #: Additionally receives stamp [ns] and contents of each message, for a recorder that reads no messages.
         self.record: Callable[[int, list[float]], object] = lambda stamp, values: None
         self._waiting: dict[int, dict[int, float]] = {}
         self._tables: dict[int, tuple[int, np.ndarray]] = {}
@@ -95,7 +96,7 @@ class ScanClockTopic:
         if self._clock is None or until <= begin:
             return
         runs = np.all(np.equal(found, found[0]), axis=0) & (found[0] >= 0.0)
-        # the number of the sample minus that of the waveform changes where the waveform begins again
+        # where the waveform restarts, the difference between sample number and waveform sample changes
         offset = np.where(runs, np.arange(begin, until) - found[0], -1.0)
         for piece in np.split(np.arange(offset.size), np.flatnonzero(np.diff(offset)) + 1):
             if runs[piece[0]]:

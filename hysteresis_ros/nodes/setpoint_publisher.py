@@ -28,12 +28,12 @@ from hysteresis_ros.nodes.parameters import GuardedServices
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
-#: Time until publisher and subscription are matched on both sides; a volatile message sent earlier is lost [s].
+#: Time until publisher and subscription are matched on both sides [s]; a volatile message sent earlier is lost.
 ACQUAINTANCE = 0.5
 
 
 class SetpointPublisher(GuardedServices):
-    """Publishes each setpoint at its time on the clock of the axis, the stamps of ``joint_states``."""
+    """Publishes each setpoint at its time on the clock of the axis, which is the stamp of ``joint_states``."""
 
     def __init__(self, schedule, **options):
         super().__init__("setpoint_publisher", **options)
@@ -48,7 +48,7 @@ class SetpointPublisher(GuardedServices):
 
     @property
     def heard(self) -> bool:
-        """Return whether all subscribers have been matched for a while: they may match later than this publisher."""
+        """Return whether all subscribers have been matched for a while: their side may match later than this one."""
         matched, known = self._setpoint.get_subscription_count(), self.count_subscribers("setpoint")
         if matched == 0 or matched < known or matched != self._matched:
             # a recorder may be present before the generator

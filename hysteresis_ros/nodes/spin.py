@@ -38,7 +38,7 @@ _MADV_DONTNEED = 4
 def release_compiler() -> None:
     """Release the code pages of LLVM once all kernels are loaded; Linux reads them again on demand.
 
-    Only executable pages mapped from the file are released, which are never written.
+    Only executable pages that are mapped from the file are released; such pages are never written.
     """
     maps = pathlib.Path("/proc/self/maps")
     if not COMPILED or not maps.exists():
@@ -53,7 +53,7 @@ def release_compiler() -> None:
 
 
 def given_configuration(arguments: list[str], what: str) -> Configuration:
-    """Return the configuration in the file after ``--params-file``, from which the nodes of ``what`` are made."""
+    """Return the configuration in the file after ``--params-file``; ``what`` needs it to create its nodes."""
     if "--params-file" not in arguments[:-1]:
         raise ConfigurationError(f"the {what} has no parameters: give its file with --ros-args --params-file FILE")
     return load_configuration(arguments[arguments.index("--params-file") + 1])
@@ -69,8 +69,8 @@ def refused(error: HysteresisError) -> int:
 #: Interval of the check for signals and finished nodes while no message arrives [s].
 LOOK = 0.05
 
-#: Time for messages to be acknowledged: at the regular end of a run, and when a signal or an error ends it [s]. An
-#: acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay every
+#: Time for messages to be acknowledged at the end of a run, whether it ends regularly or by a signal or an error [s].
+#: An acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay every
 #: exit.
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
@@ -92,7 +92,7 @@ def make_executor():
 
 
 def called_by_compiler(frame) -> bool:
-    """Return whether Python runs a callback of the compiler, which swallows exceptions and then fails itself."""
+    """Return whether Python runs a callback of the compiler, which would swallow an exception and then fail itself."""
     while frame is not None and frame.f_globals.get("__name__") != COMPILER:
         frame = frame.f_back
     return frame is not None
@@ -101,7 +101,8 @@ def called_by_compiler(frame) -> bool:
 def run(factories, arguments=None, steered: bool = False) -> int:
     """Create nodes, start them, and spin until the end.
 
-    ``steered``: whether users send setpoints to these nodes; ``ros2`` then keeps a session for their commands.
+    ``steered``: whether users send setpoints to these nodes; if ``ros2`` has started such nodes, a session for the
+    users' commands is kept.
     """
     stop: list[int] = []
 
@@ -114,13 +115,13 @@ def run(factories, arguments=None, steered: bool = False) -> int:
             if called_by_compiler(frame):
                 signal.setitimer(signal.ITIMER_REAL, LOOK)
             else:
-                raise SystemExit(0)  # compiling the kernels may take long
+                raise SystemExit(0)  # exit now, because compiling the kernels may take long
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, request_stop)
     kept = contextlib.ExitStack()
     if leave_with_ros2() and steered:
-        # before rclpy, because a process with other threads must not be forked
+        # started before rclpy, because a process with other threads must not be forked
         kept.enter_context(session(node_environment()))
     nodes: list = []
     claims: list = []
@@ -128,7 +129,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
     try:
         try:
             stay_on_this_machine()
-            set_logger_level("rcl", LoggingSeverity.FATAL)  # its messages about wrong arguments are raised as well
+            set_logger_level("rcl", LoggingSeverity.FATAL)  # errors about wrong arguments are also raised as exceptions
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )
@@ -143,7 +144,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         executor = make_executor()
         for node in nodes:
             executor.add_node(node)
-        # all are configured before the first one moves
+        # all nodes are configured before the first one moves
         for step in ("configure_now", "activate_now"):
             if step == "activate_now":
                 await_discovery(nodes)
@@ -181,20 +182,20 @@ def _release(executor, nodes: list, claims: list) -> None:
 
 
 def _collect() -> None:
-    """Free the nodes now: lifecycle nodes are in reference cycles, and hold the DDS participant until collected.
+    """Free the nodes now: lifecycle nodes are in reference cycles, and keep the DDS participant until collected.
 
-    The C library destroys a remaining participant at the end of the process while threads still use it, which has
-    sometimes ended in an abort long after the run was over and its bag was closed.
+    Otherwise the C library destroys the participant at the end of the process while threads still use it. This has
+    sometimes caused an abort long after the run was over and its bag was closed.
     """
     gc.unfreeze()
     gc.collect()
 
 
 def _over(nodes) -> bool:
-    """Return whether a node has failed or all have finished; about seven calls a sample, therefore no generators."""
+    """Return whether a node has failed or all have finished; no generators, because of seven calls per sample."""
     finished = True
     for node in nodes:
-        # a node whose manual configuration failed waits for other parameters
+        # a node that a user has configured with wrong parameters waits for other parameters
         if node.failure and node.parameters is not None:
             return True
         finished = finished and node.finished
@@ -202,7 +203,7 @@ def _over(nodes) -> bool:
 
 
 def _spin(executor, nodes, stop) -> int:
-    # The loop creates no reference cycles; a garbage collection within a sample would take milliseconds.
+    # The loop creates no reference cycles, and a garbage collection within a sample would take milliseconds.
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -229,12 +230,13 @@ def _leave(executor, nodes, regular: bool) -> None:
     if regular:
         for node in nodes:
             node.wait_acknowledged(deadline)
-    # The controller exits before the compensator, and this before the plant, which still receives the safe voltage.
+    # The controller exits before the compensator, and the compensator before the plant, which still receives the safe
+    # voltage.
     listening = []
     for node in reversed(nodes):
         if not node.active:
             continue
-        # A lockstep run that ended regularly has exactly one voltage for each sample, and its plant has left.
+        # A lockstep run that ended regularly has exactly one voltage for each sample, and the plant has already left.
         if not (regular and node.runner.exact):
             node.runner.go_safe()
             if not node.is_fused:  # the recorder of a fused loop reads the change log directly

@@ -6,14 +6,18 @@
 # Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
-"""Executable ``hysteresis_stage``: the nodes of all axes of a stage, of one kind or of all kinds, in one process.
+"""Executable ``hysteresis_stage``: for all axes of a stage, the nodes of one kind or of all kinds, in one process.
 
-Each axis has its four nodes in its own namespace, as a single axis has, with the same topics, services and parameters.
-The nodes of one kind of all axes share a process. Plants are coupled there by the structure, compensators by the
-decoupling; references and controllers are those of a single axis. ``hysteresis_stage KIND`` has the nodes of one kind,
-without a kind it has all of them, and with ``--recorder`` also those that record; the parameter file of the stage
+Each axis has four nodes in its own namespace, with the same topics, services and parameters as a single axis. The nodes
+of one kind of all axes share a process. In this process the structure couples the plants, and the decoupling couples
+the compensators; references and controllers are those of a single axis. ``hysteresis_stage KIND`` runs the nodes of one
+kind; without a kind it runs all of them, and with ``--recorder`` also the recorders. The parameter file of the stage
 follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all nodes are in
 this process.
+
+On a stage, all axes stop when the plant of one axis trips, and all controllers are safe while the measurement of one
+axis is stale. This module applies the rule to nodes; :func:`hysteresis_ros.loop.stage.stage_ticks` applies it in the
+compiled loop.
 """
 
 from __future__ import annotations
@@ -84,7 +88,7 @@ SETPOINTS, JOINT_TRAJECTORY = "setpoints", "joint_trajectory"
 
 
 class Group:
-    """Nodes of one kind, of all axes of a stage, in one process; their rows are the rows of one table."""
+    """The nodes of one kind of all axes of a stage, in one process; the rows of the nodes are the rows of one table."""
 
     def __init__(self, parameters: StageParameters):
         self.parameters = parameters
@@ -158,7 +162,7 @@ class LockstepStagePlant(LockstepPlant):
     """Publishes sample k of all axes together, and continues with k+1 when all their voltages of k have arrived."""
 
     def advance(self) -> None:
-        """Publish the present sample when partners and recorder of all axes are ready."""
+        """Publish the present sample when the partners and the recorders of all axes are ready."""
         runners = self.node.group.runners
         if runners and all(one.may_begin() for one in runners) and all([one.begin_sample() for one in runners]):
             self.node.group.publish_sample()
@@ -174,12 +178,12 @@ class LockstepStagePlant(LockstepPlant):
             self.advance()
 
     def missing_voltage(self) -> str:
-        """Return the partner whose input for the present sample is missing; the plants of other axes report theirs."""
+        """Return this axis' partner whose input for the present sample is missing; other plants report their own."""
         return "" if self.is_answered else super().missing_voltage()
 
 
 class RealTimeStagePlant(RealTimePlant):
-    """Starts each sample of all axes at its scheduled time, in one thread, which belongs to the first of the plants."""
+    """Starts each sample of all axes at its scheduled time, in one thread that belongs to the first plant."""
 
     def __init__(self, node):
         super().__init__(node)
@@ -195,16 +199,16 @@ class RealTimeStagePlant(RealTimePlant):
             RealTimePlant.start_time(self._first)
 
     def stop_time(self) -> None:
-        """Stop the timing thread: without one of its plants a stage has no samples."""
+        """Stop the timing thread, because a stage that lacks one of its plants has no samples."""
         if self._first is not None:
             RealTimePlant.stop_time(self._first)
 
     def is_awaited(self, recorded: bool) -> bool:
-        """Return whether the loops of all axes are complete, with ``recorded`` including the recorder."""
+        """Return whether the loops of all axes are complete and, if ``recorded`` is set, the recorders are present."""
         return all(RealTimePlant.is_awaited(one, recorded) for one in self.node.group.runners)
 
     def align_now(self) -> bool:
-        """Wait until no voltage of any axis is pending, if the counting of one axis must restart."""
+        """If the count of voltages of any axis must restart, wait until no voltage of any axis is pending."""
         runners = self.node.group.runners
         if any(one.is_unaligned for one in runners):
             for one in runners:
@@ -254,7 +258,7 @@ class StagePlantNode(PlantSimulatorNode):
         super().build(parameters)
         self.row = self.group.rows[self.place]
         self.row[:] = 0.0
-        # all axes of a sample have the same stamp
+        # in each sample all axes have the same stamp
         self.stamps = self.group.stamps = self.group.stamps or self.stamps
 
     def make_part(self, parameters, travel=None):
@@ -302,7 +306,7 @@ class StagePlantNode(PlantSimulatorNode):
                 super(StagePlantNode, node).go_on()
 
     def explain_trip(self) -> str:
-        """Return why the plant has stopped the axis: its own reason, or that another axis has stopped."""
+        """Return why the plant has stopped the axis: a reason of its own, or that another axis has stopped."""
         if not self.part.stopped_with_stage:
             return super().explain_trip()
         cause = next((node for node in self.others if node.part.tripped and not node.part.stopped_with_stage), None)
@@ -317,7 +321,7 @@ class StagePlantNode(PlantSimulatorNode):
 
 
 class StageCompensators(Group):
-    """The compensators of a stage with a decoupling: the command of each actuator depends on those of all axes."""
+    """The compensators of a stage with a decoupling: each actuator's command depends on the commands of all axes."""
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)
@@ -339,7 +343,7 @@ class StageCompensators(Group):
             node.close_answer()
 
     def note_achieved(self, nodes) -> None:
-        """Put the achieved commands of the degrees of freedom into the rows; ``nodes`` have new values."""
+        """Put the achieved commands of the degrees of freedom into the rows; only ``nodes`` have new ones."""
         for node in nodes:
             self.achieved[node.place] = node.row[signals.APPLIED]
         self.rows[:, signals.APPLIED] = self.achieved
@@ -424,7 +428,7 @@ class StageControllers(Group):
         arrays = self.coupling.arrays
         states = [(node.part.arrays.x.feedforward, node.part.arrays.watch_x.own) for node in self.nodes]
         calls = [1.0 if own[RETURNING] else fed[feeding.CALLS] for fed, own in states]
-        # in real time an axis may miss a sample: it is not awaited a second time
+        # in real time an axis may miss a sample; the others wait for it only once
         if not self.nodes[0].runner.exact and min(calls) < 1.0 and max(calls) < 2.0:
             return
         for (fed, own), row in zip(states, self.rows, strict=True):
@@ -437,7 +441,7 @@ class StageControllers(Group):
         """Exchange references, and look for stale measurements, once all controllers have answered a sample."""
         if not self.runners or (self.nodes[0].runner.exact and len({node.sample for node in self.nodes}) > 1):
             return
-        # a fused loop exchanges them itself
+        # a fused loop exchanges the references itself
         if self.coupling.arrays.weights.size and not self.nodes[0].is_fused:
             self.exchange_references()
         stale = [is_stale(node.part.arrays.watch_p.guard, node.part.arrays.watch_x.guard) for node in self.nodes]
@@ -454,12 +458,12 @@ class StageControllerNode(MotionControllerNode):
         group.nodes.append(self)
 
     def after_missing(self) -> None:
-        """Log changes of mode; with the last answer to a sample also close the sample of the stage."""
+        """Log changes of mode; after the last answer to a sample, also close this sample of the stage."""
         super().after_missing()
         self.group.close_sample()
 
     def reset_blocks(self) -> None:
-        """Reset the controller to rest; its references begin anew."""
+        """Reset the controller to rest; its record of references restarts."""
         super().reset_blocks()
         self.group.coupling.arrays.known[self.group.nodes.index(self)] = 0.0
 
@@ -480,7 +484,7 @@ class StageSources(Group):
     action: GroupAction | None = None
 
     def take(self, given: dict[str, float]) -> str:
-        """Take setpoints [m] by the names of axes, all or none; return why they are refused, empty when taken."""
+        """Take setpoints [m] by the names of axes, all or none; return why they are refused, or an empty text."""
         nodes = dict(zip(self.parameters.names, self.nodes, strict=True))
         unknown = [name for name in given if name not in nodes]
         if unknown:
@@ -502,11 +506,11 @@ class StageSources(Group):
 
     @property
     def by_joint(self) -> dict[str, Any]:
-        """The nodes by the names of their joints; they are configured."""
+        """The nodes, which must be configured, by the names of their joints."""
         return {node.parameters.joint: node for node in self.nodes}
 
     def rest(self, told: Mapping[str, Told]) -> None:
-        """Bring joints to rest, given the callbacks of their moves, unless a new trajectory has replaced these."""
+        """Bring joints to rest, unless new trajectories have replaced the moves with the callbacks ``told``."""
         moving = [joint for joint, heard in told.items() if not self.by_joint[joint].trajectories.is_replaced(heard)]
         if moving:
             self.follow(dict.fromkeys(moving, REST))
@@ -517,10 +521,10 @@ class StageSources(Group):
         tolerances: Mapping[str, Tolerances] | None = None,
         told: Mapping[str, Told] | None = None,
     ) -> None:
-        """Follow trajectories, given by joint, from the same sample on, all or none; without points a joint stops.
+        """Follow trajectories of several joints, all or none, from the same sample on; a joint without points stops.
 
-        ``tolerances`` are those of the joints, by default the configured tolerances; ``told`` receive the end of each
-        move.
+        ``tolerances`` are given by joint; by default the configured tolerances apply. The callbacks ``told``, also by
+        joint, are called at the end of each move.
 
         Raises
         ------
@@ -559,13 +563,14 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def __init__(self, group: StageSources, **options):
         self.group, self.place = group, len(group.nodes)
-        #: Requests that affect several axes together: the first affected sample, and the function to call before it.
+        #: Requests that affect several axes together: the first affected sample, and the function to call before this
+        #: sample.
         self.coming: deque = deque()
         super().__init__(**options)
         group.nodes.append(self)
 
     def connect(self) -> None:
-        """Create the topics of the axis; the first of the nodes also takes the setpoints of the stage."""
+        """Create the topics of the axis; the first reference generator also creates those of the stage."""
         super().connect()
         if self is self.group.nodes[0]:
             topic = f"{self.group.parameters.namespace}/{SETPOINTS}"
@@ -614,7 +619,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
         return ScanClockTopic(self, f"{parameters.namespace}/{SCAN_CLOCK}", len(parameters.scanning_axes))
 
     def reset_blocks(self) -> None:
-        """Reset: waveform at its start, setpoint as configured."""
+        """Reset the waveform to its start, and the setpoint to the configured one."""
         super().reset_blocks()
         self.coming.clear()
 
@@ -634,7 +639,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
         self.take_and_tell(value)
 
     def follow_now(self, points: Points, tolerances: Tolerances, told: Told | None) -> None:
-        """Follow a trajectory from the present sample on; without points bring the present one to rest."""
+        """Follow a trajectory from the present sample on; without points, bring the present trajectory to rest."""
         trajectories = self.trajectories
         assert trajectories is not None  # from configuration to cleanup
         try:
@@ -648,7 +653,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
                 told(Ending.STOPPED, str(error))
 
     def _on_joint_trajectory(self, message) -> None:
-        """Follow a trajectory of several joints by their names; the others stay where they are."""
+        """Follow a trajectory of several joints, given by their names; the other joints do not move."""
         if len(self.group.runners) < len(self.group.rows) or self.trajectories is None:
             return
         try:
@@ -674,7 +679,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
 
 class StageRecorders(Group):
-    """The recorders of a stage: one for the topics of each axis, and one bag for all."""
+    """The recorders of a stage: one recorder for the topics of each axis, and one common bag."""
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)
@@ -725,12 +730,12 @@ STAGE_INPUTS = (SETPOINTS, JOINT_TRAJECTORY, ACTION)
 
 
 def stage_factories(parameters: StageParameters, kinds) -> list:
-    """Return the factories of the nodes of these kinds, of all axes; the first node is the last to exit."""
+    """Return the factories of the nodes of these kinds for all axes; the first node is the last to exit."""
     return [make for _, _, make in stage_nodes(parameters, kinds)]
 
 
 def stage_nodes(parameters: StageParameters, kinds) -> list:
-    """Return kind, axis and factory of each node of these kinds, of all axes."""
+    """Return kind, axis and factory of each node of these kinds for all axes."""
     plants, recorders = StagePlants(parameters), StageRecorders(parameters)
     compensators, sources = StageCompensators(parameters), StageSources(parameters)
     controllers = StageControllers(parameters)

@@ -20,14 +20,15 @@ from collections import deque
 
 from hysteresis_ros.analysis.metrics import MOMENT
 
-#: An interval is overrun when it is longer than this many periods.
+#: An interval is an overrun if it is longer than this many periods.
 OVERRUN = 1.5
 
-#: Time without a measurement after which the input is stale, unless samples are slower [s].
+#: Time without a measurement after which the input is stale [s]; longer if the sample time requires it.
 STALE = 1.0
 
 
-#: Interval for counting a rate [s]: in a shorter one, messages that a busy machine delivers together distort it.
+#: Interval for counting a rate [s]; in a shorter one, messages that a busy machine delivers together would distort the
+#: rate.
 WINDOW = 1.0
 
 
@@ -49,7 +50,7 @@ class CountedRate:
             self._marks.append((now, total))
 
     def read(self, now: float, total: int) -> float:
-        """Return the present rate [Hz]; 0 in the first second, when it is not known yet."""
+        """Return the present rate [Hz]; 0 in the first second, in which the rate is not known yet."""
         self.begin(now, total)
         while len(self._marks) > 1 and now - self._marks[1][0] >= WINDOW:
             self._marks.popleft()
@@ -61,7 +62,7 @@ class CountedRate:
 
 
 class Pace:
-    """Statistics of the arrival times of samples between two readings, in bounded memory."""
+    """Statistics of the arrival times of samples between two readings; the memory is bounded."""
 
     def __init__(self, period: float = float("inf"), keeps_time: bool = True, capacity: int = 20000):
         self._intervals = array("d", bytes(8 * capacity))
@@ -116,20 +117,21 @@ class Pace:
 
 
 class Pairing:
-    """Matches answers to measurements in real time; the two arrive on different topics in any order.
+    """Matches answers to measurements in real time; answers and measurements arrive on different topics in any order.
 
     Every measurement is answered once, so the n-th answer belongs to the n-th measurement; the first of the two to
-    arrive waits. An answer precedes its measurement only by chance and only by a short time; a measurement may wait as
-    long as a loaded machine takes. Two rules keep a loss from shifting all later pairs. First, an entry that waits too
-    long is discarded (a watchdog's command answers no measurement). Second, when answers repeatedly find several
-    waiting measurements, the oldest of them was rejected and never answered, so it is dropped; an answer that every
-    measurement finds waiting is dropped as well, because answers follow their measurements.
+    arrive waits for the other. An answer precedes its measurement only by chance and only by a short time; a
+    measurement may wait as long as a busy machine takes to answer. Two rules keep a loss from shifting all later pairs.
+    First, an entry that waits too long is discarded, for instance the command of a watchdog, which answers no
+    measurement. Second, when several measurements wait at many answers in a row, the oldest of them was rejected and
+    never answered, so it is dropped. An answer that waits at every measurement is dropped as well, because answers
+    follow their measurements.
     """
 
     #: Maximum number of waiting entries, and their maximum age [s].
     ANSWERS, ANSWER_PATIENCE = 2, 0.05
     MEASUREMENTS, MEASUREMENT_PATIENCE = 256, 1.0
-    #: Consecutive answers that find several waiting measurements before the oldest is dropped.
+    #: Number of consecutive answers at which several measurements wait, after which the oldest measurement is dropped.
     SUSPICION = 50
 
     def __init__(self):
@@ -139,13 +141,13 @@ class Pairing:
         self._ahead = 0
 
     def begin(self) -> None:
-        """Assign the next answer to the last measurement: earlier ones arrived while no node answered."""
+        """Assign the next answer to the last measurement, because earlier ones arrived while no node answered."""
         self._answers.clear()
         while len(self._measurements) > 1:
             self._measurements.popleft()
 
     def measurement(self, stamp, now: float):
-        """Take a measurement; return its waiting answer, or None, and the measurement waits."""
+        """Take a measurement and return its waiting answer; without an answer, let it wait and return None."""
         self._ahead = self._ahead + 1 if self._answers else 0
         if self._ahead > self.SUSPICION:
             self._answers.popleft()
@@ -153,7 +155,7 @@ class Pairing:
         return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
 
     def answer(self, answer, now: float):
-        """Assign an answer to its measurement and return the stamp; None: the answer must wait."""
+        """Assign an answer to its measurement and return the measurement's stamp; None: the answer must wait."""
         self._crowded = self._crowded + 1 if len(self._measurements) > 1 else 0
         if self._crowded > self.SUSPICION:
             self._measurements.popleft()
@@ -174,19 +176,19 @@ class Pairing:
 LATELY = 60.0
 #: Beginning of the text that reports limited time.
 LIMITED = "output limited for"
-#: Name of the voltage limits, when the reason is not the return to a path.
+#: Name of the voltage limits as a cause, in contrast to the return to a path.
 AMPLIFIER = "limits (range or slew rate)"
 
 
 class LimitedTime:
-    """Stores the counters of limited samples at each report of the last minute."""
+    """Counters of limited samples, stored at each report of the last minute."""
 
     def __init__(self) -> None:
-        """Start without a report."""
+        """Begin without stored counters."""
         self._counts: deque[tuple[float, dict[str, int]]] = deque()
 
     def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
-        """Return for how long in the last minute limits restricted the output, with the causes, the longest first.
+        """Return for how long limits restricted the output in the last minute, and the causes, the longest first.
 
         ``sample_rate`` is in Hz, ``now`` in s.
         """
@@ -196,7 +198,7 @@ class LimitedTime:
         if not self._counts:
             self._counts.append((now, dict.fromkeys(counts, 0)))
         self._counts.append((now, dict(counts)))
-        # the minute begins at the last report before it
+        # the reported interval begins at the last report that is at least a minute old
         while len(self._counts) > 2 and now - self._counts[1][0] >= LATELY:
             self._counts.popleft()
         began, before = self._counts[0]
@@ -210,7 +212,7 @@ class LimitedTime:
 
 
 def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> str:
-    """Return for how long in a run limits kept the output from its requested value; empty when only for an instant.
+    """Return for how long limits kept the output from its requested value in a run; empty if only for an instant.
 
     Units: ``sample_rate`` [Hz].
     """
@@ -237,7 +239,7 @@ class Runner:
     absent: tuple[str, ...] = ()
     #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: none.
     latched = ""
-    #: Whether the plant has announced that the axis resumes, and no measurement has confirmed it yet.
+    #: Whether the plant has announced that the axis resumes, but no measurement has confirmed this yet.
     goes_on = False
 
     def __init__(self, node):
@@ -258,7 +260,7 @@ class Runner:
         """Record whether the plant has stopped the axis."""
 
     def unlatch(self) -> str:
-        """Resume the part after the loss of a partner; return why it cannot, or ''."""
+        """Resume the part after the loss of a partner; return the reason if it cannot resume, otherwise ''."""
         return ""
 
     def timeliness(self) -> dict:

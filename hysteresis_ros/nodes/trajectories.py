@@ -9,9 +9,9 @@
 
 """Trajectories over ROS: the topic ``joint_trajectory``, and the action ``follow_joint_trajectory``.
 
-The reference generator follows them (:mod:`hysteresis_ros.references.trajectory`); this module reads them from messages
-and returns the result to the sender. The action exists when the package control_msgs is installed. A refused goal is
-accepted and aborted immediately, because a goal that ROS 2 rejects carries no reason.
+The reference generator follows the trajectories (:mod:`hysteresis_ros.references.trajectory`); this module reads them
+from messages and reports the result to the sender. The action exists when the package control_msgs is installed. A
+refused goal is accepted and aborted immediately, because a goal that ROS 2 rejects carries no reason.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.references.moves import Ending, Move, Tolerances
 from hysteresis_ros.references.trajectory import MOST_POINTS
 
-#: Interval of the check of moves on an axis that may have stopped, and the time its samples may be missing [s].
+#: Interval of the check whether samples are missing during a move, and the time for which they may be missing [s].
 LOOK, SILENCE = 0.1, 1.0
 
-#: Topics of trajectories: in the namespace of the axis, and where tools of ros2_control send them to a controller.
+#: Topics of trajectories: one in the namespace of the axis, and the one to which tools of ros2_control send.
 TOPICS = ("joint_trajectory", "~/joint_trajectory")
 
 #: Fields that name joints.
 JOINTS = ("joint_names", "path_tolerance", "goal_tolerance")
 
-#: Callback for the ending of a move and its reason.
+#: Callback that receives how a move ended, and the reason.
 Told = Callable[[Ending, str], None]
 
 
@@ -65,7 +65,7 @@ def points_of(message, joint: str) -> Points:
 
 
 def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
-    """Return the points of a ``JointTrajectory`` of some of several joints, by the joints that it names."""
+    """Return the points of each joint that a ``JointTrajectory`` names; these may be some of ``joints``."""
     names = list(message.joint_names)
     if not names or len(set(names)) != len(names) or set(names) - set(joints):
         raise _refused("joint_names", names, f"allowed: one or more of {', '.join(joints)}, each once")
@@ -98,7 +98,7 @@ def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
 
 
 def tolerances_by_joint(goal, defaults: Mapping[str, Tolerances]) -> dict[str, Tolerances]:
-    """Return the tolerances of a goal of the action for each of its joints, from their defaults."""
+    """Return the tolerances of a goal of the action for each of its joints, given the joints' defaults."""
     found: dict[str, dict[str, float]] = {joint: {} for joint in defaults}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
         if len(given) > len(defaults):
@@ -143,7 +143,7 @@ class Trajectories:
         self._node.timer(LOOK, self._look_for_samples)
 
     def _on_trajectory(self, message) -> None:
-        """Follow a trajectory from the topic; one without points ends the present move."""
+        """Follow a trajectory from the topic; a trajectory without points ends the present move."""
         try:
             points = points_of(message, self._node.parameters.joint)
             if points["times"]:
@@ -174,7 +174,7 @@ class Trajectories:
         return self.attend(points, tolerances, told)
 
     def attend(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
-        """Report how a trajectory that the generator has accepted ended."""
+        """Monitor an accepted trajectory, and report later how it ended."""
         node = self._node
         number, _ = node.part.generator.trajectory
         move = Move(number, tolerances)
@@ -259,8 +259,8 @@ def action_type():
 class TrajectoryAction:
     """Goals of the action.
 
-    In rclpy's sense a goal is executed only at its end: a waiting callback would need a thread, or a turn of the
-    executor at every sample.
+    For rclpy, a goal is executed only when it has ended: a callback that waits for the end would need a thread, or a
+    turn of the executor at every sample.
     """
 
     def __init__(self, node, trajectories: Trajectories, kind, name: str = ACTION):
@@ -346,7 +346,7 @@ class TrajectoryAction:
         return [self._node]
 
     def _ready_words(self, handle) -> str:
-        """Return when the axis of a goal was predicted to be ready, and was; empty without a prediction."""
+        """Return the predicted and the actual time at which a goal's axis was ready; empty without a prediction."""
         nodes = self._nodes_of(handle)
         move = nodes[0].ready.move if len(nodes) == 1 else None
         if move is None or not math.isfinite(move.predicted):
@@ -357,7 +357,7 @@ class TrajectoryAction:
 
     @staticmethod
     def _tell_ready(feedback, node) -> None:
-        """Write times since the start into the feedback: predicted until ready (desired), until now (actual)."""
+        """Write times since the start into the feedback: until predicted ready (desired), and until now (actual)."""
         move = node.ready.move
         if move is not None and math.isfinite(move.predicted):
             elapsed = len(move.measured) / node.parameters.sample_rate
@@ -372,13 +372,13 @@ REST: Points = {"times": (), "positions": (), "velocities": (), "accelerations":
 class GroupAction(TrajectoryAction):
     """Goals for several joints of a stage, which begin with the same sample.
 
-    A goal succeeds when all its joints have arrived. When one of them ends in another way, the others come to rest, and
-    the goal is aborted; the result names the joint.
+    A goal succeeds when all its joints have arrived. When one joint's move ends in another way, the other joints come
+    to rest, and the goal is aborted; the result names that joint.
     """
 
     def __init__(self, group, kind, name: str):
         self._group = group
-        #: Callbacks of the joints of each goal that still move.
+        #: Callbacks of those joints of each goal that still move.
         self._moving: dict[int, dict[str, Told]] = {}
         super().__init__(group.nodes[0], group.nodes[0].trajectories, kind, name)
 

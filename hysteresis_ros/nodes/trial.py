@@ -33,10 +33,10 @@ class Answers:
     """Response times of the nodes of an axis in real time."""
 
     rate: float  #: Sample rate [Hz].
-    samples: int  #: samples, late: Number of samples, and of those with a late voltage.
+    samples: int  #: samples, late: Number of samples, and number of samples with a late voltage.
     late: int
-    #: p50, p99, max: Median, 99th percentile and maximum of the time from a measurement to its voltage [s], seen by the
-    #: recorder; None when no voltage arrived during the run.
+    #: p50, p99, max: Median, 99th percentile and maximum of the time from a measurement to its voltage [s], as received
+    #: by the recorder; None if no voltage arrived during the run.
     p50: float | None
     p99: float | None
     max: float | None
@@ -44,7 +44,7 @@ class Answers:
 
 @dataclass(frozen=True)
 class Trial:
-    """Recorded runs of an axis as nodes, in an isolated ROS domain."""
+    """Runs of an axis as separate nodes in an isolated ROS domain, recorded to measure their speed."""
 
     axis: AxisParameters  #: Parameters of the axis.
     samples: int  #: Length of a run.
@@ -64,7 +64,7 @@ class Trial:
             next(topic for name, topic in bag.topics.items() if name.endswith(ending)).received()
             for ending in ("/joint_states", "/voltage")
         )
-        # a voltage answers the last measurement before it
+        # a voltage answers the last measurement that was received before the voltage
         asked = np.searchsorted(measured, voltage, side="right") - 1
         took = 1e-9 * (voltage - measured[np.maximum(asked, 0)])[asked >= 0]
         within = np.quantile(took, [0.5, 0.99, 1.0]).tolist() if took.size else (None,) * 3

@@ -23,7 +23,8 @@ from hysteresis_ros.nodes.qos import loop_qos
 #: Names of the topics: triggers of an axis, their queue depth, and pulses of its trigger input.
 TOPIC, KEPT, INPUT = "trigger_out", 1000, "trigger_in"
 #: Contents of ``position``: number of the trigger from 1, position of the axis [m], direction of motion (1: up, -1:
-#: down), time from the trigger to the stamp [s], and triggers since the previous message that followed it too fast.
+#: down), time from the trigger to the stamp [s], and number of triggers since the previous message that were lost
+#: because they followed each other too fast.
 NAMES = ("number", "position", "direction", "delay", "lost")
 _PLACES = (signals.TRIGGER, signals.TRIGGER_POSITION, signals.TRIGGER_DIRECTION, signals.TRIGGER_DELAY)
 
@@ -35,10 +36,10 @@ class TriggerTopic:
         self._publisher = node.publisher(JointState, TOPIC, loop_qos(node.runner.keeps, KEPT))
         self.name = self._publisher.topic_name
         self._message = JointState(name=list(NAMES))
-        #: Additionally receives stamp [ns] and contents of each message, where a recorder reads no messages.
+        #: Additionally receives stamp [ns] and contents of each message, for a recorder that reads no messages.
         self.record: Callable[[int, list[float]], object] = lambda stamp, values: None
         self._last = 0.0
-        #: Triggers so far that followed each other too fast.
+        #: Number of triggers so far that were lost because they followed each other too fast.
         self.lost = 0
 
     def take(self, stamp: int, row) -> None:

@@ -88,7 +88,7 @@ class Client:
             self._context.try_shutdown()
 
     def until(self, condition: Callable[[], Any], seconds: float | None = None) -> Any:
-        """Spin until a condition holds; return its last value."""
+        """Spin until a condition holds or the time-out has passed; return the last value of the condition."""
         deadline = time.monotonic() + (self.timeout if seconds is None else seconds)
         while True:
             found = condition()
@@ -105,12 +105,12 @@ class Client:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def nodes(self) -> list[str]:
-        """Return the full names of the present nodes, without those of commands."""
+        """Return the full names of the present nodes, without the nodes of commands."""
         found = self.node.get_node_names_and_namespaces()
         return sorted({f"{space.rstrip('/')}/{name}" for name, space in found if not name.startswith("_")})
 
     def settle(self) -> list[str]:
-        """Return the present nodes, as soon as there is one and no further node appears."""
+        """Return the present nodes as soon as there is at least one and no further node appears."""
         known: list[str] = []
         since = time.monotonic()
 
@@ -132,14 +132,14 @@ class Client:
         return wanted
 
     def who_is_there(self, wanted: str = "") -> str:
-        """Return a text with the present nodes, and the one whose name is similar to ``wanted``."""
+        """Return a text with the present nodes, and the node whose name is similar to ``wanted``."""
         found = self.nodes()
         if not found:
             return f"no node is in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: is an axis running?"
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
     def make_client(self, kind, service: str):
-        """Return the client of a service, which is kept: finding a service takes longer than its answer."""
+        """Return the client of a service; clients are kept, because finding a service takes longer than its answer."""
         return self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
 
     def ask(self, kind, service: str, request=None, seconds: float | None = None):
@@ -156,7 +156,7 @@ class Client:
 
 
 def axis_nodes(names) -> dict[str, list[str]]:
-    """Return the namespaces with nodes of an axis, and the names of these nodes."""
+    """Return the names of an axis' nodes for each namespace that has such nodes."""
     found: dict[str, list[str]] = {}
     for full in names:
         namespace, _, name = full.rpartition("/")

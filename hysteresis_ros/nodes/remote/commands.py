@@ -116,7 +116,7 @@ def _change(client: Client, full: str, action: str) -> None:
 
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Sources of the last values: node whose ``~/state`` has them, name there, unit.
+#: Sources of the last values: node whose ``~/state`` contains the value, name in that message, unit.
 LAST = (
     ("reference_generator", "setpoint", "m"),
     ("inchworm_sequencer", "setpoint", "m"),
@@ -128,7 +128,7 @@ LAST = (
 DIAGNOSTICS = "/diagnostics"
 #: Messages for nodes without diagnostics.
 MISSING = {"absent": "not found", "silent": "found, but did not answer"}
-#: Time in which every node publishes its diagnostics, with a margin [s].
+#: Time within which every node publishes its diagnostics at least once, with a margin [s].
 REPORTED = 1.6
 
 
@@ -144,7 +144,7 @@ class NodeStatus:
 
     @property
     def is_well(self) -> bool:
-        """Whether it is active and its diagnostics report no problem."""
+        """Whether the node is active and its diagnostics report no problem."""
         return self.state == "active" and self.level in ("ok", "")
 
 
@@ -154,10 +154,11 @@ class AxisStatus:
 
     namespace: str
     nodes: list[NodeStatus]
-    plant: str = ""  #: External node that publishes ``joint_states``; empty when ``plant_simulator`` does.
+    plant: str = ""  #: External node that publishes ``joint_states``; empty if ``plant_simulator`` publishes them.
     #: Last values in SI; ``offset``: the part of the displacement that the controller subtracts.
     last: dict[str, float] = field(default_factory=dict)
-    #: Time ahead of a deadline from which a fused loop polls the clock [µs], and its cost in percent of a core.
+    #: Time ahead of a deadline from which a fused loop polls the clock [µs], and cost of the polling in percent of a
+    #: core.
     spin: tuple[float, float] = (0.0, 0.0)
 
 
@@ -170,7 +171,7 @@ def survey(client: Client) -> list[AxisStatus]:
             values = {pair.key: pair.value for pair in status.values}
             reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
 
-    # nodes of this package repeat their last report to a new subscriber, other nodes report when they next publish
+    # nodes of this package repeat their last report for a new subscriber; other nodes report when they next publish
     for keeps in (True, False):
         client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
 
@@ -192,7 +193,7 @@ def survey(client: Client) -> list[AxisStatus]:
     active = {name for name, state in states.items() if state == "active"}
 
     def reported() -> bool:
-        # the last report of a node that has just been activated is from before its activation
+        # a node that has just been activated may have sent its last report before the activation
         told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
         places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
         moved = all("displacement" in last[space] for space in found if f"{space}/{PLANT}" in active)
@@ -330,7 +331,7 @@ def get(client: Client, node: str, names: list[str]) -> None:
 
 
 def values_of(client: Client, full: str, names: list[str] | None = None) -> dict:
-    """Return parameters of a node, as plain values."""
+    """Return parameters of a node as plain values."""
     asked = _names(client, full) if names is None else names
     answer = client.ask(GetParameters, f"{full}/get_parameters", GetParameters.Request(names=asked))
     found = [plain_value(value) for value in answer.values]
@@ -352,7 +353,7 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
-    """Set parameters of a node: all of them, or none when one is refused."""
+    """Set parameters of a node: all of them, or none if one is refused."""
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # takes half a second, and no other command needs it
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
@@ -497,7 +498,7 @@ ANSWER = 5.0
 def setpoint(client: Client, value: float) -> None:
     """Send a setpoint [m] to the reference source, and print whether it was accepted.
 
-    The source replies, so a setpoint cannot be lost without notice, which is possible on a topic.
+    The source replies, so a setpoint cannot be lost without notice; on a topic it can.
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -517,9 +518,9 @@ def setpoint(client: Client, value: float) -> None:
 
 
 def move(client: Client, value: float, tolerance: float | None, dwell: float | None) -> int:
-    """Send a setpoint [m] with a tolerance [m]; print when the axis will be ready, and then when it was.
+    """Send a setpoint [m] with a tolerance [m]; print when the axis will be ready, and later when it was ready.
 
-    Exit code 1: the move was replaced or stopped, or was not ready within the time-out.
+    Exit code 1: the move was replaced or stopped, or the axis was not ready within the time-out.
     """
     source = _source(client)
     if source.endswith(signals.MOTOR_SOURCE):
@@ -582,7 +583,7 @@ def quiet(client: Client, duration: float, tolerance: float | None) -> None:
 
 
 def _source(client: Client) -> str:
-    """Return the node that takes the setpoints of an axis, by its name, ignoring other subscribers of the topic."""
+    """Return the node that takes the setpoints of an axis, by its name: the topic may have other subscribers."""
     wanted = [client.full_name(name) for name in SOURCES]
 
     def there() -> list[str]:
@@ -622,7 +623,7 @@ def _require_active(client: Client, source: str) -> None:
 
 
 def stands(source: str, state: dict[str, float]) -> str:
-    """Return why a source that has the setpoint does not move, and the remedy; empty when it moves."""
+    """Return why a source that has taken the setpoint does not move, and the remedy; empty if it moves."""
     from hysteresis_ros.loop.watch import STOPPED, TRIPPED
     from hysteresis_ros.references import inchworm_layout as at
 
@@ -646,7 +647,7 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
     state.clear()
 
     def made() -> bool:
-        # a motor that receives the same setpoint again stores it with the last digit changed
+        # the sequencer of a motor changes the last digit of a setpoint that equals the previous one
         return math.isclose(state.get("setpoint", math.nan), value, rel_tol=1e-12, abs_tol=1e-15)
 
     if not client.until(made, min(ANSWER, client.timeout)):
@@ -665,7 +666,7 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
 
 
 def _cause(client: Client, source: str, state: dict[str, float]) -> str:
-    """Return the plant's reason for stopping the axis, after a semicolon; empty when it has not stopped it."""
+    """Return a semicolon and the plant's reason for stopping the axis; empty if the plant has not stopped the axis."""
     from hysteresis_ros.loop.watch import TRIPPED
 
     if round(state.get("mode", 0.0)) != TRIPPED:

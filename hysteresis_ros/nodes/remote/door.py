@@ -9,8 +9,8 @@
 
 """Connection of commands to the session that ``hysteresis up`` keeps in the graph; imports no ROS.
 
-A separate command needs up to some seconds for discovery; the session already knows the nodes. The kernel releases the
-address however the session ends, and identifies the user at the other end.
+A command without the session needs up to some seconds for discovery; the session already knows the nodes. The kernel
+releases the address of the session however the session ends, and identifies the user at the other end of a connection.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import struct
 import sys
 from contextlib import suppress
 
-#: Environment variables that determine discovery and identity: a session with other values is not used.
+#: Prefixes of the environment variables that determine discovery and identity; a session with other values is not used.
 ENVIRONMENT = ("ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "CYCLONEDDS_")
 #: Variables with the same prefix that do not affect discovery or identity.
 OTHERS = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_LOG_DIR", "ROS_HOME", "ROS_PACKAGE_PATH")

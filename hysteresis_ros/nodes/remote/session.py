@@ -9,7 +9,7 @@
 
 """``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands while an axis runs.
 
-It keeps a participant in the graph, so that a command needs no discovery; between commands it sleeps.
+The session keeps a participant in the graph, so that a command needs no discovery; between commands it sleeps.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-import hysteresis_ros.loop.parameters  # noqa: F401  a command would import it at its first use
+import hysteresis_ros.loop.parameters  # noqa: F401  imported at the start, not at the first use by a command
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.remote.__main__ import done
 from hysteresis_ros.nodes.remote.client import Client
@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.remote.door import address, is_of_this_user
 
 #: Interval of the attempts to take over the address of another session [s].
 AGAIN = 1.0
-#: Time for discovery of all nodes; an older session need not wait for further ones [s].
+#: Time for the discovery of all nodes [s]; a session that has run for longer need not wait for further nodes.
 INTRODUCED = 5.0
 
 
@@ -98,7 +98,7 @@ class Session:
 
         class Served(Client):
             def hear(self) -> None:
-                # readable although nothing more is sent: the command has exited
+                # if the connection is readable although nothing more is sent, the command has exited
                 if select.select([connection], [], [], 0.0)[0]:
                     raise BrokenPipeError
                 super().hear()

@@ -10,9 +10,9 @@
 """Write an SROS 2 policy of the nodes: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
 
 The nodes are created and configured in an isolated ROS domain, and their topics and services are listed. No driver is
-opened and no node is activated, because the interfaces of a node do not depend on its device and all exist once it is
-configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null), ``processes`` (or
-null: as `up` decides), ``record`` and ``external`` (booleans), ``remap`` (list).
+opened, because the interfaces of a node do not depend on its device; no node is activated, because all its interfaces
+exist once it is configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null),
+``processes`` (or null: as `up` decides), ``record`` and ``external`` (booleans), ``remap`` (list).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def enclaves_of(
 ) -> list[Enclave]:
     """Return the enclaves of the processes of a graph with these axes, of its operators and of its monitors.
 
-    ``stage``: the axes are those of this stage, whose nodes of one kind share a process.
+    ``stage`` is the stage of these axes, if any; the nodes of one kind of all its axes share a process.
     """
     stay_on_this_machine()
     context = Context()
@@ -173,7 +173,7 @@ def _remapped(remap: tuple[str, ...]) -> list[str]:
 
 
 def _of_stage(stage: StageParameters, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
-    """Return the enclaves of a stage: of its processes, of its operator and monitor, and of those of each axis.
+    """Return the enclaves of a stage: its processes, its operator and monitor, and those of each axis.
 
     The operator of one axis may not publish setpoints and trajectories of the stage, which move the other axes too.
     """
@@ -228,7 +228,7 @@ def _configured(name: str, axis: AxisParameters, context, arguments, folder: pat
 
 
 def _node_options(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path) -> dict:
-    """Return the options with which a node of an axis is made; no driver is opened."""
+    """Return the options with which a node of an axis is created; with them no driver is opened."""
     given = getattr(axis, name)
     if name == "plant_simulator":
         given = replace(given, driver="", driver_options=())
@@ -241,7 +241,7 @@ def _node_options(name: str, axis: AxisParameters, context, arguments, folder: p
 
 
 def _described(axis: AxisParameters, folder: pathlib.Path) -> str:
-    """Return the path of a parameter file, if the topics of a recorder depend on it."""
+    """Return the path of an axis' parameter file; empty unless the topics of the recorder depend on it."""
     if axis.reference_generator is None or axis.reference_generator.waveform.type != "scan":
         return ""
     path = folder.with_name(f"{folder.name}.yaml")
@@ -263,7 +263,7 @@ def _destroyed(node) -> None:
 
 
 def _of_a_command(axis: AxisParameters, context, namespace: str | None = None) -> Profile:
-    """Return the interfaces of a command itself, of this package or of ``ros2``, with any number in its name."""
+    """Return the interfaces of the node of a command, of this package or of ``ros2``, with any number in its name."""
     with Client(axis.namespace if namespace is None else namespace, context=context) as client:
         own = used_by(client.node)
         numbered = f"_hysteresis_{os.getpid()}"
@@ -280,7 +280,7 @@ def _further(name: str, axes: list[AxisParameters], context) -> Profile:
 
 
 def _of(make) -> Profile:
-    """Return the interfaces of a temporary plain node."""
+    """Return the interfaces of a plain node, which exists only temporarily."""
     node = make()
     try:
         return used_by(node)

@@ -51,7 +51,7 @@ def enclave_of(namespace: str, name: str) -> str:
 class Profile:
     """Interfaces of one node, as sorted full names."""
 
-    namespace: str  #: namespace, node: Namespace, ``/`` for the root, and name.
+    namespace: str  #: namespace, node: Namespace (``/`` for the root) and name.
     node: str
     publishes: tuple[str, ...] = ()  #: publishes, hears: Topics.
     hears: tuple[str, ...] = ()
