@@ -9,8 +9,8 @@
 
 """Recordings: bags, CSV and NPZ, all read into and written from one dataset type (time, named signals, units).
 
-Read ``dataset`` and ``files`` first; a bag goes through ``bag_reader`` and ``align``, and is written by ``bag_writer``
-and ``run_bag``. ``foreign_tables`` reads tables of other programs, ``repair`` repairs bags that were cut off.
+Read ``dataset`` and ``files`` first. ``bag_reader`` and ``align`` read a bag; ``bag_writer`` and ``run_bag`` write one.
+``foreign_tables`` reads tables of other programs, ``repair`` repairs bags that were cut off.
 """
 
 from hysteresis_ros.recordings.dataset import Recording

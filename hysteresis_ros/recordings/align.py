@@ -46,9 +46,9 @@ class ChangeLog:
     """Content of the change log of an axis."""
 
     changes: list[dict] = field(default_factory=list)  #: Changes in order: sample, node, action, parameters.
-    #: Flat dotted parameters that each node was configured with, by its name.
+    #: Flat dotted parameters with which each node was configured, by the name of the node.
     parameters: dict[str, dict] = field(default_factory=dict)
-    lacking: int = 0  #: Number of missing entries, found by their numbers.
+    lacking: int = 0  #: Number of missing entries, found by gaps in the numbers of the entries.
     #: Whether the log lacks the end of the run, because the nodes were stopped.
     stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class ChangeLog:
         """Add an entry."""
         node, action, number = str(entry.get("node")), entry.get("action"), entry.get("number")
         if isinstance(number, int):
-            # the entries of a newly configured node start at 1 again
+            # the numbers of a newly configured node's entries start at 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
         self.stopped = action != ENDED or entry.get("stopped") is True
@@ -76,7 +76,7 @@ class ChangeLog:
 
 
 def read_log(bag: Bag, prefix: str) -> ChangeLog:
-    """Return the log of an axis, without unreadable entries."""
+    """Return the change log of an axis, without unreadable entries."""
     topic = bag.of_type(f"{prefix}/changes", cdr.STRING)
     log = ChangeLog()
     for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
@@ -87,9 +87,9 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
     return log
 
 
-#: Times [ns] above this (September 2001) are wall-clock times; smaller ones count from an arbitrary start.
+#: Times [ns] above this (September 2001) are wall-clock times; smaller times count from an arbitrary start.
 CLOCK = 10**18
-#: Number of last samples whose messages may not have reached the recorder before its stop.
+#: Largest number of samples at the end whose messages may not have reached the recorder before it stopped.
 TAIL = 100
 
 
@@ -117,7 +117,7 @@ def namespaces(bag: Bag) -> tuple[str, ...]:
 
 
 def choose_namespace(bag: Bag, namespace: str | None) -> str:
-    """Return the namespace to read."""
+    """Return the namespace of the axis to read."""
     found = namespaces(bag)
     listed = ", ".join(name or "/" for name in found)
     if not found and (not bag.complete or not len(bag)):
@@ -156,7 +156,7 @@ def _stage(bag: Bag) -> tuple[str, tuple[str, ...]] | None:
 
 
 def _align_stage(bag: Bag, namespace: str, names: tuple[str, ...], further: bool) -> Recording:
-    """Return the recording of a stage: the samples that all its axes have."""
+    """Return the recording of a stage, with those samples that all axes have."""
     axes = {name: align(bag, f"{namespace}/{name}", further=further) for name in names}
     stamps = {
         name: one.metadata["start_time_ns"] + np.rint(1e9 * one.time).astype(np.int64) for name, one in axes.items()
@@ -190,10 +190,10 @@ def _align_stage(bag: Bag, namespace: str, names: tuple[str, ...], further: bool
 def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Return all signals of one axis as the columns of a run.
 
-    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have that stamp and are matched by
-    it. Without them, ``joint_states`` and the Float64 topics are used: by count if a topic has one message per sample,
-    otherwise the last message before the next sample. Without a simulated plant the true displacement is unknown: that
-    column is then the measured one, with a note.
+    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have the same stamp, by which they
+    are matched. Without them, ``joint_states`` and the Float64 topics are used: a topic with one message per sample is
+    matched by count; of any other topic, a sample gets the last message before the next sample. Without a simulated
+    plant the true displacement is unknown: its column is then the measured displacement, and a note states this.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)
@@ -223,7 +223,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     missing, per_signal = _missing(stamps, columns, wanted, notes)
     log = read_log(bag, prefix)
     if bag.complete:
-        # a properly closed bag is complete except for the sample that the stop interrupted
+        # a properly closed bag is complete, except for the sample that was interrupted when the nodes were stopped
         missing += max(recorded - stamps.size - log.stopped, 0)
     metadata = {"configuration": configuration, "missing_samples": missing, "missing": per_signal}
     metadata |= _told(bag, prefix, log, notes)
@@ -249,7 +249,7 @@ def _tolerance(configuration: str, log: ChangeLog, prefix: str) -> float:
 
 
 def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
-    """Return the metadata of an axis, and add its notes to ``notes``."""
+    """Return the metadata of an axis, and add notes about the axis to ``notes``."""
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
@@ -274,7 +274,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
 
 
 def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
-    """Return the signals that are not columns of a run: all with ``further``, otherwise those that are not empty."""
+    """Return the signals that are not columns of a run: with ``further`` all, otherwise those that are not empty."""
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
@@ -291,7 +291,7 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
 
 
 def _within_run(stamps, columns: dict, notes: list[str]):
-    """Return the samples from the first reference to the last; an external plant also measures before and after."""
+    """Return the samples from the first to the last reference: an external plant also measures before and after."""
     there = np.flatnonzero(np.isfinite(columns["reference"])) if "reference" in columns else np.zeros(0, dtype=int)
     if not there.size:
         return stamps, columns
@@ -314,7 +314,7 @@ def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
-    """Fill in and note the columns that were not recorded, and return the names of the recorded ones."""
+    """Fill in the columns that were not recorded, with a note, and return the names of the recorded columns."""
     if "displacement" not in columns and "measured" in columns:
         columns["displacement"] = columns["measured"].copy()
         notes.append("no true displacement in the bag: the column displacement is the measured one")
@@ -329,7 +329,7 @@ def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
 def setpoints_per_sample(recording: Recording) -> np.ndarray:
     """Return the setpoint applied at each sample from the first on, shape (M,), for replay by the simulation.
 
-    Samples missing in the recording get the previous setpoint, which is valid until the next one.
+    Samples that are missing in the recording get the previous setpoint, which is valid until the next setpoint.
     """
     setpoint = recording["setpoint"]
     if not recording.has("setpoint"):
@@ -343,7 +343,7 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
 
 
 def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
-    """Return the additional columns of an inchworm motor's run; for hardware the known ones."""
+    """Return the additional columns of an inchworm motor's run; for hardware, only the known columns."""
     if states[MOTOR_SOURCE] is None:
         return {}
     found = _further(states, stamps)
@@ -370,7 +370,7 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
-    """Return the last readable configuration: any node may publish on its topic, so a message may be unreadable."""
+    """Return the last readable configuration; others are skipped, because any node may publish on the topic."""
     name = f"{prefix}/configuration"
     topic = bag.of_type(name, cdr.STRING)
     messages = topic.data if topic else ()
@@ -387,7 +387,7 @@ def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
-    """Return the messages of a topic and their rows; of several runs (stamps decrease between them) the longest."""
+    """Return the messages of a topic and their rows; if stamps decrease between runs, only those of the longest run."""
     topic = bag.of_type(name, cdr.JOINT_STATE)
     if topic is None:
         return None, np.zeros(0, dtype=np.int64)
@@ -401,7 +401,7 @@ def _one_run(bag: Bag, name: str, notes: list[str]):
 
 
 def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
-    """Return ``values`` on the grid ``stamps``, NaN without a message; of repeated messages the last one counts."""
+    """Return ``values`` on the grid ``stamps``, NaN for a missing message; of repeated messages the last counts."""
     found = np.full(stamps.size, np.nan)
     place = np.searchsorted(stamps, source_stamps)
     inside = place < stamps.size
@@ -438,13 +438,13 @@ def _add_float_topics(bag: Bag, prefix: str, columns: dict, joints: cdr.JointSta
 
 
 def _held(values: np.ndarray, topic: Topic, until: np.ndarray) -> np.ndarray:
-    """Return for each sample the last value before its limit in the order of the bag; NaN before the first value."""
+    """Return for each sample the last value before the position ``until`` in the bag; NaN before the first value."""
     place = np.searchsorted(np.array(topic.order, dtype=np.int64), until) - 1
     return np.where(place >= 0, values[np.maximum(place, 0)], np.nan)
 
 
 def _without_tail(stamps, columns, present, notes):
-    """Remove samples at the end whose messages the recorder has not received completely."""
+    """Remove samples at the end of which the recorder has not received all messages."""
     whole = np.ones(stamps.size, dtype=bool)
     for name in present:
         if np.any(np.isfinite(columns[name])):
@@ -459,7 +459,7 @@ def _without_tail(stamps, columns, present, notes):
 
 
 def _missing(stamps, columns, present, notes):
-    """Count samples that are absent from the grid, or lack a signal between its first and its last value."""
+    """Count samples that are absent, or that lack a signal between the first and the last value of that signal."""
     gaps = 0
     if stamps.size > 2:
         steps = np.diff(stamps)
@@ -504,7 +504,7 @@ def _late_commands(bag: Bag, prefix: str) -> int:
 
 
 def _is_paced(configuration: str, prefix: str) -> bool:
-    """Return whether the wall clock started the samples: fused mode with real-time factor 1."""
+    """Return whether the samples began at deadlines of the wall clock: fused mode with real-time factor 1."""
     plant = configured(configuration, "plant_simulator", prefix)
     slowed = plant.get("real_time_factor", 1.0) != 1.0 or plant.get("publish_clock", False)
     return plant.get("time_mode") == "fused" and not slowed
@@ -521,7 +521,7 @@ def _received(bag: Bag, prefix: str, joints, rows: np.ndarray) -> np.ndarray | N
 
 
 def _timing(received: np.ndarray | None, late: np.ndarray) -> dict:
-    """Return rate and jitter of ``joint_states`` from the times of reception, and for a paced run the lateness."""
+    """Return rate and jitter of ``joint_states`` from the times of reception; with ``late``, also the lateness."""
     if received is None:
         return {}
     steps = np.diff(received) / 1e9

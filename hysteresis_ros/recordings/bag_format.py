@@ -44,9 +44,10 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 #: Header of a message: channel, sequence number, log time, publish time.
 MESSAGE = struct.Struct("<HIQQ")
-#: Header of a chunk: first and last log time, size, checksum (0: none), length of the name of the compression.
+#: Header of a chunk: first and last log time, unpacked size, checksum (0: none), length of the compression's name.
 CHUNK = struct.Struct("<QQQII")
-#: Header of a message index: channel, bytes of entries. An entry is log time and position in the chunk.
+#: Header of a message index: channel, length of the entries in bytes. An entry is a log time and a position in the
+#: chunk.
 INDEX = struct.Struct("<HI")
 ENTRY = 16
 
@@ -63,7 +64,7 @@ def packed(*records: McapRecord) -> bytes:
 
 
 def records_in(data) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each complete record in bytes."""
+    """Yield opcode of each complete record in ``data``, and begin and end of the record's content."""
     cursor, size = 0, len(data)
     while cursor + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, cursor)
@@ -75,7 +76,7 @@ def records_in(data) -> Iterator[tuple[int, int, int]]:
 
 
 def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and length of the content of each complete record, from the stream's position on."""
+    """Yield opcode of each complete record from the stream's position on, and begin and length of its content."""
     cursor = stream.tell()
     while cursor + RECORD.size <= size:
         stream.seek(cursor)
@@ -107,7 +108,7 @@ class McapIndex:
         return sum(self.counts.values())
 
     def chunk(self, begin: int, pieces: list, size: int, entries: dict[int, np.ndarray], compression: str = "") -> list:
-        """Add a chunk, and return the pieces of its record and of its message indices."""
+        """Add a chunk to the index, and return the pieces of the chunk's record and of its message indices."""
         times = [column[:, 0] for column in entries.values()]
         start = min((int(column.min()) for column in times), default=0)
         end = max((int(column.max()) for column in times), default=0)
@@ -124,11 +125,11 @@ class McapIndex:
         return [RECORD.pack(Opcode.CHUNK, len(head) + stored) + head, *pieces, index]
 
     def noted(self) -> tuple:
-        """Return the present state, for :meth:`forget`."""
+        """Return the present state of the index, for :meth:`forget`."""
         return dict(self.counts), len(self.chunks), self.start, self.end
 
     def forget(self, noted: tuple) -> None:
-        """Remove the entries since a state, because they could not be written."""
+        """Restore an earlier state, because the later entries could not be written to the file."""
         self.counts, chunks, self.start, self.end = noted
         del self.chunks[chunks:]
 
@@ -143,7 +144,7 @@ class McapIndex:
         return places, bytes(index)
 
     def tail(self, begin: int) -> bytes:
-        """Return the end of the file after the data, which end at ``begin``."""
+        """Return the bytes after the data, which end at offset ``begin``: end of data, summary and footer."""
         head = packed(DataEnd(0))
         groups = [
             (Opcode.SCHEMA, [packed(record) for record in self.schemas.values()]),
@@ -192,12 +193,12 @@ VERSION = 9
 class TopicInformation:
     """Description of a topic in a bag."""
 
-    #: name, type_name, encoding, digest: Topic, message type, serialisation, and hash of the type; empty if unknown.
+    #: name, type_name, encoding, digest: Topic, message type, serialisation, and hash of the type (empty if unknown).
     name: str
     type_name: str
     encoding: str = "cdr"
     digest: str = ""
-    qos: Sequence[Qos] = ()  #: QoS that its publishers offer.
+    qos: Sequence[Qos] = ()  #: QoS that the publishers of the topic offer.
     count: int = 0  #: Number of messages.
 
 
@@ -208,7 +209,7 @@ class FileInformation:
     name: str  #: Name of the file in the folder.
     start: int = NEVER  #: start, end: Times of the first and the last message [ns].
     end: int = 0
-    topics: list[TopicInformation] = field(default_factory=list)  #: Its topics.
+    topics: list[TopicInformation] = field(default_factory=list)  #: Topics in the file.
 
     @property
     def count(self) -> int:

@@ -45,8 +45,8 @@ from hysteresis_ros.recordings.bag_format import (
     records_in,
 )
 
-#: Unpacked size that is always allowed for a chunk [bytes], and largest compression ratio above it; bytes unpacked at a
-#: time.
+#: Unpacked size that is always allowed for a chunk [bytes]; largest compression ratio of larger chunks; number of bytes
+#: unpacked at a time.
 SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
 
 
@@ -99,8 +99,8 @@ class _Records:
 def read_stream(path, sink) -> StreamResult:
     """Pass every complete message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
 
-    Neither index nor footer is needed. A truncated file gives all messages before its end, including those in a chunk
-    that was cut off.
+    The file needs neither index nor footer. From a truncated file all messages before the cut are read, including those
+    in the chunk that was cut.
     """
     path = pathlib.Path(path)
     result, records = StreamResult(), _Records(sink)
@@ -116,7 +116,7 @@ def read_stream(path, sink) -> StreamResult:
             raise RecordingError(f"{path}: not an MCAP file (it begins with {head!r}); give a recorded bag")
         stream.seek(0)
         result.whole = len(head)
-        # a damaged file may raise any exception (struct, UTF-8, decompression …): the readable part ends here
+        # reading a damaged file may raise any exception (struct, UTF-8, decompression …): the readable part ends here
         try:
             for record in StreamReader(stream, emit_chunks=True, record_size_limit=result.size).records:
                 _take(record, records, result)
@@ -165,7 +165,7 @@ def chunk_content(record: bytes) -> bytes:
 
 
 def _content(chunk: Chunk) -> bytes:
-    """Return the unpacked content of a chunk; raises an exception of any type if it is damaged."""
+    """Return the unpacked content of a chunk; raises an exception of any type if the chunk is damaged."""
     data = _unpacked(chunk.data, chunk.compression.encode(), most(len(chunk.data)))
     if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("a damaged chunk")
@@ -215,7 +215,7 @@ TABLES = ("schema", "metadata", "message_definitions", "topics", "messages")
 
 @contextlib.contextmanager
 def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading, also a truncated one."""
+    """Open a database for reading, even if it is truncated."""
     beside = any(path.with_name(f"{path.name}-{end}").exists() for end in ("wal", "journal"))
     with contextlib.ExitStack() as stack:
         try:
@@ -238,7 +238,7 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
 
 @contextlib.contextmanager
 def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield the file, or a copy without a partial page at its end, which sqlite would fill with zeros."""
+    """Yield the file, or a copy without the partial page at its end, because sqlite would fill this page with zeros."""
     with path.open("rb") as stream:
         head = stream.read(18)
         size = stream.seek(0, os.SEEK_END)
@@ -254,7 +254,7 @@ def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 class Rows:
-    """The rows of a table in order, up to the first unreadable row."""
+    """The rows of a table in the order of the table, up to the first unreadable row."""
 
     def __init__(self, connection: sqlite3.Connection, statement: str):
         self._connection, self._statement = connection, statement
@@ -268,7 +268,7 @@ class Rows:
 
 
 def read_database(path: pathlib.Path, sink) -> bool:
-    """Pass every readable message to ``sink(topic, type_name, time_ns, data)``, in the order of writing."""
+    """Pass every readable message to ``sink(topic, type_name, time_ns, data)``, in the order of recording."""
     with opened(path) as connection:
         topics = {number: words for number, *words in Rows(connection, "SELECT id, name, type FROM topics")}
         rows = Rows(connection, "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
@@ -337,10 +337,10 @@ def _described(name: str, connection: sqlite3.Connection) -> FileInformation:
 
 #: Suffixes of bag files, and the suffix that ``ros2 bag record`` adds to compressed files.
 ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"
-#: Bytes that are decompressed at a time.
+#: Number of bytes that are decompressed at a time.
 PIECE = 1 << 20
 
-#: Message types whose messages are read; for others (images …) only the topic is listed.
+#: Message types whose messages are read; of topics with other types (images …) only the names are listed.
 KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
 
 
@@ -369,7 +369,7 @@ class Bag:
     topics: dict[str, Topic] = field(default_factory=dict)  #: Topics by full name.
     complete: bool = True  #: False if the bag was cut off or is damaged.
     notes: list[str] = field(default_factory=list)  #: Notes for the user.
-    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of its metadata records, by their names.
+    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of metadata records, by their names.
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
@@ -434,7 +434,7 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
 
 
 def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
-    """Return the files of a folder with a suffix; an uncompressed file replaces its compressed copy."""
+    """Return the files in a folder with a suffix; an uncompressed file takes precedence over a compressed copy."""
     plain = list(folder.glob(f"*{ending}"))
     packed = [file for file in folder.glob(f"*{ending}{COMPRESSED}") if file.with_suffix("") not in plain]
     return sorted(plain + packed, key=_natural)

@@ -9,8 +9,8 @@
 
 """Writer of MCAP bags, based on ``rosbags``: chunks survive a kill, and a file on a full disk still ends validly.
 
-A chunk is passed to the operating system in one piece. If this fails (full disk), the file is truncated to the end of
-the previous chunk, so that it never ends inside a record; the chunk counts as not written.
+A chunk is passed to the operating system in one piece. If this fails (full disk), the chunk counts as not written, and
+the file is truncated to the end of the previous chunk, so that it never ends inside a record.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ from hysteresis_ros.recordings.bag_format import (
 )
 from hysteresis_ros.recordings.cdr import MessageForm
 
-#: Metadata record of an MCAP file with a copy of metadata.yaml, as written by ``ros2 bag``, and its key.
+#: Name of the metadata record of an MCAP file that contains a copy of metadata.yaml, as ``ros2 bag`` writes it, and key
+#: of the copy.
 ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
@@ -113,7 +114,7 @@ class Frames:
         self.count = rows.stop
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Remove all samples."""
         self.count = 0
 
     @property
@@ -127,7 +128,7 @@ class Frames:
         return self._times[: self.count]
 
     def entries(self, base: int) -> np.ndarray:
-        """Return the entries of the message indices, shape (channels, n, 2), of records that begin at ``base``."""
+        """Return the entries of the message indices, shape (channels, n, 2), of records from offset ``base`` on."""
         found = np.empty((len(self.channels), self.count, 2), "<u8")
         found[..., 0] = self.times
         found[..., 1] = np.array(self.starts)[:, None] + (base + self.size * np.arange(self.count))
@@ -170,7 +171,7 @@ class ChunkStorage(McapWriter):
         self.channel_stats[channel.id] = 0
 
     def continue_from(self, before: ChunkStorage) -> None:
-        """Add the topics of the previous file, and take over its pending messages."""
+        """Add the topics of the previous file, and take over the pending messages of that file."""
         schemas, channels = before.index.schemas, before.index.channels
         self._append([packed(*schemas.values(), *channels.values())])
         self.index.schemas, self.index.channels = dict(schemas), dict(channels)
@@ -238,7 +239,7 @@ class ChunkStorage(McapWriter):
         return mcap_file(self.path.name, self.index)
 
     def close(self, version: int, metadata: str) -> None:
-        """Write pending messages and the summary; without space for these, the file stays readable sequentially."""
+        """Write pending messages and the summary; if the disk is too full, the file stays readable sequentially."""
         with self.bio:
             if self.chunk.msgs:
                 self.close_chunk()
@@ -305,7 +306,7 @@ class ChunkedWriter(Writer):
             self.file.write_frames(frames)
 
 
-#: Bytes of messages after which a chunk is closed and passed to the operating system.
+#: Number of bytes of messages after which a chunk is closed and passed to the operating system.
 CHUNK_BYTES = 256 * 1024
 
 #: Infinite duration in the format of ROS 2 Jazzy.
@@ -399,7 +400,7 @@ class BagWriter:
         self._connections[topic] = type_name, made
 
     def describe(self, name: str, words: dict[str, str]) -> None:
-        """Write texts about the recording into each of its files, as a metadata record of MCAP."""
+        """Write texts about the recording into each file of the bag, as a metadata record of MCAP."""
         self._words[name] = words
         try:
             self._alive().file.write_words(name, words)
@@ -429,7 +430,7 @@ class BagWriter:
         return self._connections[topic][1].id
 
     def on_flush(self, write: Callable[[], None]) -> None:
-        """Call ``write``, which writes further pending messages, at each flush and at the end."""
+        """Call ``write`` at each flush and at the end, so that it writes further pending messages."""
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:
@@ -453,7 +454,7 @@ class BagWriter:
         self.write(topic, cdr.STRING, cdr.encode_string(text), time_ns)
 
     def write_joint_state(self, topic: str, stamp_ns: int, names, positions, time_ns: int | None = None) -> None:
-        """Write a sensor_msgs/JointState with ``names`` and ``position``; received at its stamp by default."""
+        """Write a sensor_msgs/JointState with ``names`` and ``position``; by default received at its stamp."""
         key = (topic, tuple(names))
         encoder = self._encoders.get(key)
         if encoder is None:
@@ -462,7 +463,7 @@ class BagWriter:
         self.write(topic, cdr.JOINT_STATE, encoder.encode(stamp_ns, positions), received)
 
     def flush(self) -> None:
-        """Close the open chunk and pass it to the operating system, so that a kill of this process does not lose it."""
+        """Close the open chunk and pass it to the operating system, so that it survives a kill of this process."""
         for write in self._waiting:
             write()
         writer = self._alive()
@@ -510,10 +511,10 @@ class BagWriter:
             writer.file.write_words(name, words)
 
     def _failed(self, error: OSError) -> RecordingError:
-        """Return the error of a failed write, which every later write raises too."""
+        """Return the error of a failed write; every later write raises the same error."""
         self._failure = f"{self.path}: cannot be written: {error.strerror}"
         if self._writer is not None:
-            self._writer.file.drop()  # this leaves more space for the end of the file
+            self._writer.file.drop()  # discarding these messages leaves more space for the end of the file
         return RecordingError(self._failure)
 
     def _alive(self) -> ChunkedWriter:
@@ -564,7 +565,7 @@ class GuardedBag:
                 )
 
     def stop(self, reason: str) -> None:
-        """End the recording for a reason; the bag is complete up to here if the disk has space for its index."""
+        """End the recording for a reason; the bag is complete up to this point if the disk has space for the index."""
         self.stopped = reason
         try:
             self.finish()

@@ -10,8 +10,8 @@
 """Serialised messages of bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
 
 A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
-usually share one layout, which follows from the first decoded message. The numbers of all messages are extracted in
-one operation if every significant byte of the layout agrees; otherwise messages are decoded one by one.
+usually share one layout, which follows from the first decoded message. If every significant byte of the layout agrees
+in all messages, their numbers are extracted in one operation; otherwise the messages are decoded one by one.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def encode_string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class MessageForm:
-    """A message of fixed size as a template for others that differ only in stamp and numbers."""
+    """A message of fixed size, the template for messages that differ only in stamp and numbers."""
 
-    data: bytes  #: CDR with its four-byte header; stamp and numbers are zero.
-    stamp: int  #: Position of the header's stamp (int32 seconds, uint32 nanoseconds); -1: no header.
+    data: bytes  #: CDR including the four-byte header; stamp and numbers are zero.
+    stamp: int  #: Position of the stamp in the header (int32 seconds, uint32 nanoseconds); -1: no header.
     values: tuple[tuple[int, int], ...]  #: Position and length of each group of float64 numbers.
 
 
@@ -90,7 +90,7 @@ def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> Mess
 
 
 class JointStateEncoder:
-    """Writes JointState messages of fixed names and varying stamp and positions."""
+    """Encodes JointState messages with fixed names, and varying stamp and positions."""
 
     def __init__(self, names, frame_id: str = ""):
         """Serialise one message as a template for all."""
@@ -112,7 +112,7 @@ class JointStates:
     """All JointState messages of a topic."""
 
     stamps: np.ndarray  #: shape (N,); Header stamps [ns], int64.
-    names: tuple[str, ...]  #: Names in ``position``.
+    names: tuple[str, ...]  #: Names of the columns of ``positions``.
     positions: np.ndarray  #: shape (N, n); Values; NaN where a message lacks a name.
 
     def take(self, rows) -> JointStates:
@@ -196,7 +196,7 @@ class _Layout:
 
 
 def _joint_state_layout(raw: bytes) -> _Layout:
-    """Find the positions in a little-endian JointState. Padding is not significant: writers leave it undefined."""
+    """Return the layout of a little-endian JointState; padding is not significant, as writers leave it undefined."""
     significant = np.zeros(len(raw), dtype=bool)
     significant[:2] = True
     cursor = 12

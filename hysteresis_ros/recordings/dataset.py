@@ -22,9 +22,9 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
-#: Duration that is always allowed [sample times], and largest ratio of duration to number of samples above it.
+#: Duration that is always allowed [sample times], and largest ratio of a longer duration to the number of samples.
 SMALL, RATIO = 1_000_000, 100
-#: Names of the lateness figures, with their percentiles [%].
+#: Names of the figures for the lateness of samples, with their percentiles [%].
 LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
 
 
@@ -89,7 +89,7 @@ class Recording:
         return self.time.size
 
     def __contains__(self, name: str) -> bool:
-        """Return whether the signal (or ``time``) exists."""
+        """Return whether the recording has the signal ``name`` (or ``time``)."""
         return name == "time" or name in self.signals
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -113,7 +113,7 @@ class Recording:
         return tuple(dict.fromkeys(name.rpartition("/")[0] for name in self.signals if "/" in name))
 
     def axis(self, name: str) -> Recording:
-        """Return the recording of one axis of a stage; its arrays are shared.
+        """Return the recording of one axis of a stage, which shares the arrays of this recording.
 
         Raises
         ------
@@ -148,8 +148,8 @@ class Recording:
     def sample_time(self) -> float:
         """Sample time [s], missing samples included; NaN with fewer than two samples.
 
-        It is the duration divided by the number of samples: stamps are whole nanoseconds, and the rounding of a single
-        interval would add up to a sample over 10⁶ samples.
+        It is the duration divided by the number of samples, because stamps are whole nanoseconds: the rounding of a
+        single interval would add up to an error of one sample over 10⁶ samples.
         """
         if len(self) < 2:
             return float("nan")
@@ -157,7 +157,7 @@ class Recording:
         return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
 
     def sample_numbers(self) -> np.ndarray:
-        """Return the number of each sample, shape (N,), int64; the first is 0, and missing samples are included."""
+        """Return the number of each sample, shape (N,), int64, from 0 on; missing samples are counted."""
         if len(self) < 2:
             return np.zeros(len(self), dtype=np.int64)
         numbers = np.rint((self.time - self.time[0]) / self.sample_time)
@@ -198,9 +198,9 @@ def _first(mask) -> int:
 
 
 def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
-    """Return the rounding of converters between requested and output voltage [V]; infinite: unknown."""
+    """Return the largest difference of requested and output voltage by rounding [V]; infinite: unknown."""
     try:
-        # a device rounds internally, and reports the unrounded input
+        # a device rounds internally, and reports the voltage before rounding
         own = 0.0 if plant.get("driver") else _step(plant)
         return own + _step(compensator) + LEAST_DIFFERENCE
     except (ArithmeticError, KeyError, TypeError, ValueError):
@@ -210,8 +210,8 @@ def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
 def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, tolerance: float) -> None:
     """Replace the requested voltage in the signals of a run by the voltage that the actuator received.
 
-    Row k of the plant's state contains its output for the voltage of sample k. If that differs by more than the
-    converters' rounding, ``voltage`` becomes the output, ``saturated`` becomes 1, and ``asked_voltage`` keeps the
+    Row k of the plant's state contains the output for the requested voltage of sample k. If the two differ by more than
+    the converters' rounding, ``voltage`` becomes the output, ``saturated`` becomes 1, and ``asked_voltage`` keeps the
     requested voltage; a run without such samples has no ``asked_voltage``. A late voltage is not a limit: the output is
     then the previous voltage, and ``saturated`` does not change.
     """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reading and writing of every kind of recording by its path; CSV and NPZ are read back bit for bit.
+"""Reading and writing of recordings, whose format follows from the path; CSV and NPZ are read back bit for bit.
 
 The modules for bags are imported only when a bag is opened.
 """
@@ -34,8 +34,8 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 def write_csv(recording: Recording, path) -> None:
     """Write ``time`` and all signals as CSV: one header line such as ``time [s],displacement [m]``, then numbers.
 
-    Numbers have enough digits to read back as the same float64. A plain table has no metadata: it does not contain the
-    configuration and the notes.
+    Numbers have enough digits to read back as the same float64. A CSV table has no metadata, so configuration and notes
+    are not written.
     """
     names = ["time", *recording.signals]
     units = {"time": "s", **recording.units}
@@ -94,7 +94,7 @@ def write_npz(recording: Recording, path) -> None:
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
     with (
         replacing(path, RecordingError) as beside,
-        # a fast level: the compression of numpy.savez_compressed takes longer than a simulation and saves little more
+        # a fast level: that of numpy.savez_compressed takes longer than a simulation, and the file is hardly smaller
         zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
         for name, array in arrays.items():
@@ -103,7 +103,7 @@ def write_npz(recording: Recording, path) -> None:
 
 
 def read_npz(path) -> Recording:
-    """Read an NPZ written by :func:`write_npz`, or any with one-dimensional arrays of the known column names."""
+    """Read an NPZ written by :func:`write_npz`, or one with one-dimensional arrays that have known column names."""
     path = _existing(path)
     try:
         arrays = read_arrays(path)
@@ -157,7 +157,7 @@ def _reason(error) -> str:
 def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
 
-    In the table of a stage, ``namespace`` selects one axis; without it all axes are returned.
+    In the table of a stage, ``namespace`` selects one axis; without a namespace all axes are returned.
     """
     path = pathlib.Path(path)
     if path.suffix.lower() in (".npz", ".csv"):
@@ -170,7 +170,7 @@ def load_run(path, namespace: str | None = None, *, further: bool = False) -> Re
 
 
 def require_run_file(path) -> pathlib.Path:
-    """Return the path of a run to be written, unless its suffix is of no format that :func:`save_run` has."""
+    """Return the path of a run to be written; refuse a suffix that belongs to no format of :func:`save_run`."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in (".npz", ".csv", ".mcap"):
         raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .mcap")

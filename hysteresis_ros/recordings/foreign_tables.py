@@ -7,18 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tables of any origin (text, MATLAB, NumPy): columns of any name, selected with their units and converted to SI.
+"""Tables of any origin (text, MATLAB, NumPy): columns with any name are selected with a unit and converted to SI.
 
 The layout of a text table is determined from its first lines: encoding, lines before the table, names and units of the
 columns, delimiter, decimal comma. NumPy reads the numbers block by block, so that only the selected columns are in
 memory; a block with cells that are not numbers is read again cell by cell.
 
-SciPy's reader of MATLAB files does not check types, sizes and dimensions; for a damaged file it accesses invalid memory
-and crashes the process, so files are checked here first. Source: The MathWorks, MAT-File Format, "Level 5 MAT-Files",
-tables 1-1 and 1-3.
+MATLAB files are checked here before SciPy reads them, because SciPy does not check types, sizes and dimensions: a
+damaged file can make it access invalid memory, which crashes the process. Source: The MathWorks, MAT-File Format,
+"Level 5 MAT-Files", tables 1-1 and 1-3.
 
-:mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, where every header names a unit. Other
-recordings name their columns ``control_V`` or ``y``; the user gives the missing units.
+:mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, in which every header names a unit.
+Other tables may name their columns ``control_V`` or ``y``; the user gives the missing units.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def named_column(cell: str) -> tuple[str, str | None]:
 
 
 def column_unit(name: str, header_unit: str | None = None) -> str | None:
-    """Return the declared unit of a column, from its header, a known signal name, or a suffix (``control_V``)."""
+    """Return the unit of a column that its header, a known signal name, or a suffix (``control_V``) declares."""
     suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
     return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix[:1].isalpha() and conversion(suffix) else None)
 
@@ -84,12 +84,13 @@ def known_conversion(name: str, unit: str) -> tuple[str, float]:
     return found
 
 
-#: Largest deviation of times from a uniform grid, as a multiple of their rounding.
+#: Largest deviation of rounded times from a uniform grid, as a multiple of the rounding.
 ROUNDED = 1.01
-#: Fraction of samples with the same time as the previous one above which times count as rounded. If all of these also
-#: repeat the values, they count as duplicated rows, up to the fraction :data:`WRITTEN_TWICE`.
+#: If the fraction of rows with the same time as the previous row is larger than this, times count as rounded. But if
+#: all these rows also repeat the values of the previous row, they count as duplicates, up to the fraction
+#: :data:`WRITTEN_TWICE`.
 SHARED = 0.05
-#: Decreasing time counts as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
+#: Decreasing times count as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
 DISORDERED = 0.005
 WRITTEN_TWICE = 0.4
 
@@ -107,8 +108,8 @@ class Clock:
 def mend_clock(time: np.ndarray, signals) -> Clock:
     """Return the corrected time axis of a column of times.
 
-    Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid; a row that
-    repeats the previous one is omitted, and so is a row with the same time but other values.
+    Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid. If times are
+    not rounded, a row with the same time as the previous row is omitted, whether its values are the same or not.
 
     Units: ``time`` [s].
     """
@@ -167,7 +168,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
 HEAD = 1 << 18
 #: Lines read at a time.
 BLOCK = 100_000
-#: Number of rows, at the end of these bytes, used to detect delimiter and width.
+#: Number of rows, at the end of these bytes, from which delimiter and width are detected.
 TELLING = 200
 #: Largest fraction of damaged rows in a table.
 DAMAGED = 0.01
@@ -183,7 +184,7 @@ class Layout:
     delimiter: str | None  #: None: blanks.
     comma: bool  #: Decimal commas.
     first: int  #: Number of lines before the first row.
-    names: tuple[str, ...]  #: Names of the columns; ``1``, ``2`` … if the table has none.
+    names: tuple[str, ...]  #: Names of the columns; ``1``, ``2`` … if the table has no names.
     units: dict[str, str | None]
     notes: tuple[str, ...]  #: Notes for the user.
 
@@ -272,7 +273,7 @@ def _head(path):
 
 
 def _how_written(path, lines):
-    """Return delimiter, decimal comma and width for which most lines are rows of numbers."""
+    """Return delimiter, decimal comma and width with which most lines are rows of numbers."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         if delimiter == "," and comma:
@@ -291,7 +292,7 @@ def _how_written(path, lines):
 
 
 def _with_text(lines):
-    """Return delimiter, decimal comma and width of rows of numbers and texts; None if there are no such rows."""
+    """Return delimiter, decimal comma and width of rows with numbers and texts; None if there are no such rows."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         rows = [row for row in (_split(line, delimiter) for line in lines) if len(row) > 1 and _is_row(row, comma)]
@@ -309,7 +310,7 @@ def _is_row(row, comma, strict=False) -> bool:
 
 
 def _names(before, delimiter, width):
-    """Return names and units of the columns, and their number of lines, from the lines above the first row."""
+    """Return names and units of the columns from the lines above the first row, and the number of lines used."""
     above = [line for line in before if line.strip()]
     units_row: list[str] = []
     for used, line in enumerate(reversed(above[-3:])):
@@ -333,11 +334,11 @@ def _names(before, delimiter, width):
 
 
 def _fitting(text, delimiter, width):
-    """Return the cells of a header, None if no delimiter gives the number of columns."""
+    """Return the cells of a header; None if no delimiter gives as many cells as there are columns."""
     for mark in (*([] if delimiter is None else [delimiter]), ",", ";", "\t", None):
         row = _split(text, mark)
         if mark == delimiter and width > 1:
-            # rows may lack the last column (a comment), or end with a delimiter that the header lacks
+            # rows may lack the last column (a comment), or may end with a delimiter while the header does not
             row = (
                 row[:width] if len(row) == width + 1 else [*row, ""] if len(row) == width - 1 > 1 and all(row) else row
             )
@@ -372,7 +373,7 @@ def _numbers(lines, layout, wanted, line_number, damaged):
             text, delimiter=layout.delimiter, usecols=wanted, ndmin=2, dtype=np.float64, comments="#", quotechar='"'
         )
     except ValueError:
-        pass  # a cell is empty or text: read cell by cell, which is slower but locates this cell
+        pass  # a cell is empty or text, so read cell by cell, which is slower but locates this cell
     table = np.full((len(lines), len(wanted)), np.nan)
     width, k = len(layout.names), 0
     for number, line in enumerate(lines, line_number + 1):
@@ -390,21 +391,21 @@ def _numbers(lines, layout, wanted, line_number, damaged):
     return table[:k]
 
 
-#: Bytes before the first element; the last four are version and byte order.
+#: Length of the header before the first element [bytes]; the last four bytes are version and byte order.
 HEADER = 128
-#: Version and byte order by their bytes; bytes of HDF5 files (since MATLAB 7.3).
+#: Byte order by the last four bytes of the header; the same bytes of HDF5 files (since MATLAB 7.3).
 ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
-#: Types of elements.
+#: Types of elements; the last entry has all valid types.
 INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
 #: Classes of arrays: cells, structures, objects, texts, sparse, functions, opaque; all others are numerical.
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-#: Largest depth of nested elements; unpacked size that is always allowed [bytes], and largest compression ratio above
-#: it.
+#: Largest depth of nested elements; unpacked size that is always allowed [bytes]; largest compression ratio of larger
+#: content.
 DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
 
 
 def is_hdf5(content: bytes) -> bool:
-    """Return whether this is HDF5 with a MATLAB header, the format since version 7.3."""
+    """Return whether the content is HDF5 with a MATLAB header, the format since version 7.3."""
     return 0 not in content[:4] and content[HEADER - 4 : HEADER] in HDF5
 
 
@@ -488,7 +489,7 @@ def _require_content(array_class: int, count: int, parts: list, is_complex: bool
 
 
 def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
-    """Return the number of arrays of structures, and the parts that contain them."""
+    """Return how many arrays the fields of structures contain, and the parts with these arrays."""
     if len(parts) < 2 or parts[0][0] != INT32 or len(parts[0][1]) != 4:
         raise ValueError("a structure without names")
     (length,) = struct.unpack(order + "i", parts[0][1])
@@ -550,7 +551,7 @@ class Table:
     path: pathlib.Path
     #: Declared unit of each column (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
     units: dict[str, str | None]
-    load: Callable  #: ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
+    load: Callable  #: ``load(names, progress)`` returns the columns in the units of the file, and warnings.
     notes: tuple[str, ...] = ()  #: Notes about the layout.
 
 
@@ -560,10 +561,11 @@ class Selection:
 
     #: Columns as ``name`` or ``name:unit``; the unit may be omitted if the column declares it.
     choices: tuple[str, ...]
-    #: The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
+    #: The time column, given in the same way; by default the column called ``time``, ``t``, ``time_s`` … or the only
+    #: column in seconds.
     time: str | None = None
     sample_time: float | None = None  #: Sample time [s] for tables without a time column.
-    #: First row, and the row after the last; None: up to the end; negative: counted from the end.
+    #: First row, and the row after the last one (None: up to the end); negative numbers count from the end.
     rows: tuple[int, int | None] = (0, None)
 
 
@@ -571,8 +573,8 @@ def open_table(path) -> Table:
     """Open a text table, an NPZ or a MATLAB file.
 
     Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
-    before the table are skipped, except that the last one may name the columns (``name`` or ``name [unit]``); without
-    names they are ``1``, ``2`` … Cells that are not numbers become NaN.
+    before the table are skipped, but the last of them may name the columns (``name`` or ``name [unit]``). Columns
+    without names are called ``1``, ``2`` … Cells that are not numbers become NaN.
     """
     path = pathlib.Path(path)
     if not path.is_file():
@@ -671,7 +673,7 @@ def _chosen(table, choice, declared):
 
 
 def _declared(names) -> dict[str, str | None]:
-    """Return the units declared by the names, also for fields of structures."""
+    """Return the units that the names declare; names may be those of fields of structures."""
     return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
 
 

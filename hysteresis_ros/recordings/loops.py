@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Smallest reversal of the loop, as a fraction of the input's range; smaller ones are noise and quantisation.
+#: Smallest reversal of the input that counts, as a fraction of its range; smaller reversals are noise or quantisation.
 REVERSAL = 0.01
 #: Smallest reversals, tried in order until branches are found.
 REVERSALS = (REVERSAL, 0.03, 0.1)
@@ -32,7 +32,7 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
     turns = moving[np.flatnonzero(np.diff(np.sign(change[moving]))) + 1] if moving.size > 1 else moving[:0]
     places = [0, *turns.tolist(), u.size - 1]
     values = u[places].tolist()  # Python compares its own numbers ten times as fast as those of an array
-    points, direction, extreme = [0], 0, 0  # extreme, low and high are indices of places
+    points, direction, extreme = [0], 0, 0  # extreme, low and high are indices into places
     low = high = 0
     for k, value in enumerate(values[1:], start=1):
         if direction == 0:
@@ -56,20 +56,22 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
 def loop_opening(u, y) -> float | None:
     """Return the largest vertical width of the loops of ``y`` over ``u``, in the unit of ``y``.
 
-    Two consecutive branches (one rising, one falling) enclose a loop; its width at an input is the difference of their
-    outputs. The result is the largest over all common inputs and all pairs. The first branch is omitted if others
-    follow, because it starts at rest (virgin curve) and closes no loop. The width includes all differences of the
-    branches: hysteresis, creep and the lag of the dynamics.
+    Two consecutive branches (one rising, one falling) enclose a loop; the width of the loop at an input is the
+    difference between the outputs of the two branches. The result is the largest width over all common inputs and all
+    pairs of branches. If there are more than two branches, the first is omitted, because it starts at rest (virgin
+    curve) and closes no loop. The width contains everything that separates the branches: hysteresis, creep and the lag
+    of the dynamics.
     """
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    # noise may exceed the smallest reversal; its branches are then too short, unlike those of the loop
+    # noise may exceed the smallest reversal; the branches between such reversals are too short, so a larger one is
+    # tried
     return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
 
 
 def _opening(u, y, reversal: float) -> float | None:
-    """Return the width of the loops between reversals of at least a given fraction of the range of ``u``."""
+    """Return the largest width of the loops between reversals of at least a given fraction of the range of ``u``."""
     points = turning_points(u, reversal)
     branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
     if len(branches) > 2:

@@ -29,13 +29,13 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError, Recording
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
-#: Nodes whose parameters define an axis, and the node without a change log.
+#: Nodes whose parameters define an axis and are in its change log; and an optional node, which has no change log.
 LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
 OPTIONAL = ("displacement_camera",)
 
 
 def described(text: str, node: str, namespace: str = "") -> bool:
-    """Return whether the configuration in a recording has a section for ``node`` itself, not only a common one."""
+    """Return whether the configuration in a recording has a section for ``node`` itself, not only for all nodes."""
     configuration = _parsed(text)
     return configuration is not None and configuration.describes(node, namespace)
 
@@ -53,7 +53,7 @@ def stage_of(text: str) -> tuple[str, tuple[str, ...]] | None:
 def configured(text: str, node: str, namespace: str = "") -> dict:
     """Return the flat dotted parameters of ``node``; empty if the text is empty or not a ROS 2 parameter file.
 
-    A recording must stay readable with any text on the topic ``configuration``, so there is no error.
+    No error is raised, because a recording must stay readable with any text on the topic ``configuration``.
     """
     configuration = _parsed(text)
     return {} if configuration is None else configuration.node(node, namespace)
@@ -62,7 +62,8 @@ def configured(text: str, node: str, namespace: str = "") -> dict:
 def in_force(recording: Recording) -> str:
     """Return the parameter file with the actual parameters of the nodes of a recording.
 
-    The change log of the nodes also contains values of the command line and changes before the first sample.
+    These parameters are from the change log of the nodes, which also contains values of the command line and changes
+    before the first sample.
     """
     text = recording.configuration
     found: dict[str, dict] = {}
@@ -71,7 +72,7 @@ def in_force(recording: Recording) -> str:
         if not known.keys() >= LOGGED:
             return text
         namespace = one.metadata.get("namespace", "")
-        # only if it is described: values for all nodes (/**) would add it to any axis
+        # only nodes with a section of their own: values for all nodes (/**) would add an optional node to any axis
         optional = [node for node in OPTIONAL if described(text, node, namespace)]
         nodes = {node: configured(text, node, namespace) for node in optional} | known
         found |= {f"{namespace}/{node}": values for node, values in nodes.items()}
@@ -84,7 +85,7 @@ def in_force(recording: Recording) -> str:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Configuration | None:
-    # cached, because a page parses the same text a few dozen times, which takes most of its time
+    # cached, because a page parses the same text a few dozen times, which would take most of the page's time
     if not text:
         return None
     try:
@@ -93,7 +94,7 @@ def _parsed(text: str) -> Configuration | None:
         return None
 
 
-#: Name of the metadata record, and size [bytes] above which it contains only the digest of a file.
+#: Name of the metadata record with files, and size [bytes] above which it contains only the digest of a file.
 FILES, LARGEST = "hysteresis_ros files", 2**20
 
 #: Prefixes of an entry: the whole content follows, or its SHA-256.
@@ -122,7 +123,7 @@ def whole(words: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def note_on_disk(name: str, content: bytes) -> str:
-    """Return a line if the file on this disk has changed; empty if it has not, or does not exist."""
+    """Return a line if the file on this disk differs from the recorded one; empty if it is equal or missing."""
     with contextlib.suppress(OSError, ValueError):
         path = pathlib.Path(name)
         if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):

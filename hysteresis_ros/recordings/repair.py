@@ -46,16 +46,16 @@ from hysteresis_ros.recordings.bag_format import (
 from hysteresis_ros.recordings.bag_reader import chunk_content, files_of, repair_database, salvaged, whole_database
 from hysteresis_ros.recordings.bag_writer import ROSBAG2, SERIALISED
 
-#: Records that are copied unchanged; those from 0x80 on are private.
+#: Opcodes of the records that are copied unchanged; opcodes from 0x80 on are private.
 _KEPT = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 _PRIVATE = 0x80
 
-#: Bytes of messages outside of intact chunks after which a chunk is written.
+#: Number of bytes of messages from outside intact chunks after which a new chunk is written.
 CHUNK_BYTES = 1024 * 1024
 
 
 def whole_mcap(path: pathlib.Path) -> FileInformation | None:
-    """Return the description of a file from its summary; None if that is missing or damaged."""
+    """Return the description of a file from its summary; None if the summary is missing or damaged."""
     try:
         stream = path.open("rb")
     except OSError as error:
@@ -65,7 +65,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # the file may end with the footer of another file, so its index must lie within this file
+            # the footer may be that of another file, so every chunk in the index must lie within this file
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):
@@ -140,7 +140,7 @@ class _Rescue:
             if opcode == Opcode.METADATA:
                 record = Metadata.read(_stream(data))
                 if record.name == ROSBAG2:
-                    return  # written anew
+                    return  # a new record of this kind is written
                 self.index.metadata.append(MetadataIndex(begin, size, record.name))
             elif opcode == Opcode.ATTACHMENT:
                 item = Attachment.read(_stream(data))
@@ -228,7 +228,7 @@ class Repair:
     """Result of the repair of a bag."""
 
     path: pathlib.Path | None  #: The folder of the repaired bag; None if the bag was intact.
-    messages: int  #: Number of messages in it.
+    messages: int  #: Number of messages in the repaired bag.
     mended: tuple[str, ...] = ()  #: Names of the repaired files.
     lost: tuple[str, ...] = ()  #: Reason for each file from which nothing could be recovered.
 

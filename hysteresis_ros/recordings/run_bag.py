@@ -9,8 +9,8 @@
 
 """Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all together.
 
-In batches, the constant part of the messages (nearly all of them) is written once; only stamps and numbers are filled
-in, for many samples at a time.
+For batches, the constant part of the messages, which is nearly everything, is written only once; only stamps and
+numbers are filled in, for many samples at a time.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import RECORD, configured, provenance
 from hysteresis_ros.signals import ASKED_VOLTAGE, float_topics, state_signals
 
-#: Bytes of samples after which a chunk is written.
+#: Number of bytes of samples after which a chunk is written.
 BLOCK_BYTES = 1024 * 1024
 
-#: Longest time that a sample waits for others to share its chunk, while samples arrive [s].
+#: Longest time that a sample waits for further samples of its chunk, while samples arrive [s].
 CHUNK_TIME = 0.25
 
 #: Number of values of each joint in ``joint_states``: position, velocity, effort.
@@ -45,15 +45,15 @@ NUMBERS = 3
 
 @dataclass(frozen=True)
 class AxisTopics:
-    """Names and properties of the topics of an axis, which its samples do not contain."""
+    """Names and properties of the topics of an axis, because the samples do not contain them."""
 
     namespace: str = ""  #: Namespace of the axis.
     #: Names in ``joint_states``: one, two with a measured force, or four for a motor.
     joints: tuple[str, ...] = ("piezo",)
     sample_rate: float = 1000.0  #: Sample rate [Hz], for velocities.
     kind: signals.AxisKind = signals.ACTUATOR  #: Kind of the axis: its nodes and their signals.
-    force: float = 0.0  #: Preload of an actuator [N], the effort of the joint.
-    #: Whether the plant is simulated; for a device the true displacement is unknown, and its state has none.
+    force: float = 0.0  #: Preload of an actuator [N], which is the effort of its joint.
+    #: Whether the plant is simulated; for a device the true displacement is unknown, and missing in the plant's state.
     simulated: bool = True
     durability: str = (
         "volatile"  #: Durability of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
@@ -170,7 +170,7 @@ class SampleWriter:
         self._since = time.monotonic()
 
     def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
-        """Write samples into frames; ``values`` has the groups of numbers of each topic, each of shape (numbers, n)."""
+        """Write samples into frames; ``values``: for each topic the groups of numbers, each of shape (numbers, n)."""
         begin = samples.start
         while begin < samples.stop:
             if not frames.count:

@@ -28,11 +28,11 @@ class Triggers:
     sample : ndarray
         Index in the recording of the sample that follows each trigger.
     time : ndarray
-        Its instant [s], a fraction of a sample before that sample.
+        Instant of each trigger [s], a fraction of a sample time before that sample.
     number : ndarray
-        Its number, from 1; a gap: triggers that followed each other too fast.
+        Number of each trigger, from 1; a gap in the numbers stands for triggers that followed each other too fast.
     position : ndarray
-        Position of the axis [m]; of a position compare exactly the compared one.
+        Position of the axis [m]; for a trigger at a given position, exactly this position.
     direction : ndarray
         1: the axis moved up, -1: down.
     """
@@ -51,12 +51,12 @@ class Triggers:
 
 
 def triggers_of(recording: Recording) -> Triggers:
-    """Return the triggers of an axis in a recording; none if it has none.
+    """Return the triggers of an axis in a recording; the arrays are empty if there are no triggers.
 
     Parameters
     ----------
     recording : Recording
-        Of a single axis; :meth:`.Recording.axis` gives that of an axis of a stage.
+        Recording of a single axis; for an axis of a stage, :meth:`.Recording.axis` returns its recording.
 
     Examples
     --------
