@@ -9,6 +9,6 @@
 
 """Applications of the package that no axis needs: papers, comparisons, sweeps, emulated devices, fault campaigns.
 
-The laboratory imports the rest of the package, which never imports the laboratory: commands, drivers and ``hr.*`` refer
-to it by name. ``commands`` contains its subcommands.
+The laboratory imports the rest of the package, but the rest never imports the laboratory: commands, drivers and
+``hr.*`` refer to its modules by name. ``commands`` contains the subcommands of the laboratory.
 """

@@ -53,7 +53,7 @@ from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_s
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
-#: Interval at which a move is checked, and at which watchers are told its progress [s].
+#: Interval at which a move is checked, and its progress reported to watchers [s].
 LOOK, TELL = 0.005, 0.1
 #: Time in which the axis must accept a flight [s].
 TAKEN = 2.0
@@ -76,7 +76,7 @@ class Flight:
     run_up : float, optional
         Duration of run-up and run-down, with constant acceleration [s]; a tenth of ``time_for_move`` by default.
     every : int
-        Only every such sample is reported.
+        Only every n-th sample is reported, n being this number.
     """
 
     start_position: float
@@ -234,7 +234,7 @@ class HysteresisAxis(StandardReadable):
         return value * self.settings.metres
 
     def set(self, value: float, timeout: float | None = None) -> WatchableAsyncStatus:
-        """Move, and finish when the position has stayed within the tolerance for the dwell time.
+        """Move, and finish when the position has stayed within the tolerance of ``value`` for the dwell time.
 
         Parameters
         ----------
@@ -267,7 +267,7 @@ class HysteresisAxis(StandardReadable):
             self._moving = False
 
     async def _arrival(self, target: float, initial: float, allowed: float) -> AsyncIterator[WatcherUpdate]:
-        """Wait until a move [m] has arrived, at most for a time [s], and tell its progress."""
+        """Wait until a move [m] has arrived, at most for a time [s], and report its progress."""
         link, settings = self._connected(), self.settings
         begun = told = time.monotonic()
         inside: float | None = None
@@ -377,7 +377,7 @@ class HysteresisAxis(StandardReadable):
         Raises
         ------
         HysteresisError
-            The flight was not followed to its end; the samples received until then are collected nevertheless.
+            The axis did not follow the flight to its end; the samples received until then are collected nevertheless.
         """
         link, plan = self._connected(), self._plan
         if plan is None or not link.flying:
@@ -410,7 +410,7 @@ class HysteresisAxis(StandardReadable):
 
 
 class _Link:
-    """A node in a thread of its own: the link of a motor record, and the samples of a flight."""
+    """A node in a separate thread: the link of a motor record, which also collects the samples of a flight."""
 
     def __init__(self, settings):
         stay_on_this_machine()

@@ -9,8 +9,8 @@
 
 """Commands of the laboratory: ``compare``, ``sweep``, ``benchmark``, ``reproduce``, ``faults``, ``watch`` and ``ioc``.
 
-Each imports what it runs when it is called. ``hysteresis emulate``, whose options are those of the drivers, is in
-:mod:`hysteresis_ros.laboratory.emulation.command`.
+Each command imports the code that it runs only when it is called. ``hysteresis emulate`` has the options of the
+drivers; it is in :mod:`hysteresis_ros.laboratory.emulation.command`.
 """
 
 from __future__ import annotations

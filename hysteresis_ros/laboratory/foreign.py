@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Actuators of other classes than the models, to test identification and design.
+"""Actuators of other classes than the models of the package, to test identification and design.
 
 voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement; the lag is at one of the two places.
 The chain is integrated on a grid finer than the samples, with the voltage held during each sample; the displacement
 between the samples is therefore known, too. With s the voltage as a fraction of its range, the types of hysteresis are
 
-* ``play``: generalised play operators with different curves for rising and falling, whose thresholds widen with the
+* ``play``: generalised play operators with different curves for rising and falling, and thresholds that widen with the
   speed of the input [1],
 * ``preisach``: a Preisach operator, in Krejčí's form Σ q(r, z_r) of the play operators z_r, q nonlinear in z [2],
 * ``bouc_wen``: y = d(s) − h, h' = α s' − β |s'| h − γ s' |h| [3],
@@ -62,7 +62,7 @@ STROKE = 3
 BEFORE, BEHIND = 4, 5  # decay factor per step of a lag before the hysteresis, and of one after the modes; 0: no lag
 DELAY = 6  # steps
 LINEAR, SQUARE = 7, 8  # d(s) or f(s): LINEAR s + SQUARE s²
-RATE = 9  # widening of the thresholds at high speed
+RATE = 9  # widening of the thresholds in the limit of high speed
 KNEE = 10  # change of s per step at half of this widening
 MEMORY = 11  # decay of the averaged change from step to step
 TURN = 12  # β (Bouc-Wen) or a (Duhem)
@@ -168,7 +168,7 @@ def duhem(p, x, s):
     change = s - x[LAST]
     if change != 0.0:
         turn = p[TURN] if change > 0.0 else -p[TURN]
-        # the polynomial a0 + a1 s + a2 s² that solves y' = turn (f(s) - y) + g, with a2 that of f
+        # the polynomial a0 + a1 s + a2 s² that solves y' = turn (f(s) - y) + g; a2 is the same as in f
         a1 = p[LINEAR] - 2.0 * p[SQUARE] / turn
         a0 = (p[SWING] - a1) / turn
         last = x[LAST]

@@ -27,8 +27,8 @@ from hysteresis_ros.laboratory.benchmark.models import load_model
 
 #: Resamplings and seed of an interval, and its two ends as fractions.
 RESAMPLINGS, SEED, ENDS = 1000, 1, (0.025, 0.975)
-#: Part of the test input whose prediction must not change when the remaining input is left out, and by how much it may
-#: [fraction of the stroke].
+#: First part of the test input, and tolerance [fraction of the stroke]: without the remaining input the prediction for
+#: this part must not change by more.
 SHOWN, SAME = 0.6, 1e-6
 
 
@@ -67,7 +67,7 @@ class Answer:
 
 
 def answer(spec: str, train: IdentificationData, test_input: np.ndarray) -> Answer | str:
-    """Fit a model and predict; return the reason as text if this fails. Of the test it gets only the input."""
+    """Fit a model and predict, given only the input of the test; return the reason as text if this fails."""
     np.random.seed(SEED)  # for models that use the global generator
     begun = time.process_time()
     try:
@@ -151,7 +151,7 @@ def run(
     workers: int | None = None,
     progress: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Return a row for every model on every recording: by recording, then by error, rows with a problem last."""
+    """Return a row for every model on every recording, sorted by recording, then by error, rows with a problem last."""
     for spec in specs:
         load_model(spec)
     pairs = [(task, spec) for task in tasks for spec in specs]

@@ -80,9 +80,10 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One recording, ready for the benchmark: data for the fit, and a test of which a model sees only the input.
+    """One recording, ready for the benchmark: data for the fit, and a test; of the test a model sees only the input.
 
-    The test begins at sample ``first`` of ``test``; the samples before it lead to its state and are not judged.
+    The test begins at sample ``first`` of ``test``; the samples before ``first`` determine the state at this sample and
+    are not judged.
     """
 
     name: str
@@ -182,7 +183,7 @@ def _require_keys(where: str, given, known: Mapping[str, str], needed: tuple[str
 
 
 def _apart(where: str, entry: Entry) -> Entry:
-    """Return the entry; refuse a test part that is seen in the fit."""
+    """Return the entry; refuse a test part that overlaps the part for the fit."""
     train, test = entry.train, entry.test
     end = float("inf")
     if train.sha256 == test.sha256 and train.first < (test.last or end) and test.first < (train.last or end):
@@ -215,6 +216,6 @@ def read_task(entry: Entry, folder: pathlib.Path) -> Task:
         entry.input, entry.output, sample_time=entry.sample_time, negate=entry.negate, all_samples=True, whole=True
     )
     train = read_data(folder / entry.train.file, replace(columns, range=(entry.train.first, entry.train.last))).data
-    # the samples before the test part lead to its state
+    # the samples before the test part determine its initial state
     test = read_data(folder / entry.test.file, replace(columns, range=(0, entry.test.last))).data
     return Task(entry.name, train, test, entry.test.first + entry.skip, entry.offset, entry.about)

@@ -72,7 +72,7 @@ class ClassicalPrandtlIshlinskii:
         self.thresholds = half * np.arange(PLAYS) / PLAYS
         found = plays(data.input, self.thresholds)
         ones = np.ones((len(found), 1))
-        # the sign of the gain, and a constant of either sign, with weights ≥ 0
+        # all weights are ≥ 0, so a column for each sign of the constant, and the sign of the gain as a factor
         self.sign = 1.0 if np.polyfit(data.input, data.output, 1)[0] >= 0 else -1.0
         scale = float(np.ptp(data.output)) or 1.0
         weights, _ = nnls(np.hstack([found / half, ones, -ones]), self.sign * data.output / scale)
@@ -85,9 +85,9 @@ class ClassicalPrandtlIshlinskii:
         return self.sign * (plays(input, self.thresholds) @ self.weights + self.constant)
 
 
-#: Numbers of delayed outputs and inputs that are tried, and factors of the ridge relative to the mean square.
+#: Tried numbers of delayed outputs and inputs, and tried ridge parameters, relative to the mean square.
 ORDERS, RIDGE = ((1, 1), (2, 2), (3, 3), (2, 4)), (1e-10, 1e-7, 1e-4)
-#: Part of the data of the fit, at its end, that chooses between them; a free run beyond this multiple has diverged.
+#: Last part of the data of the fit, on which one of these is chosen; a free run beyond this multiple has diverged.
 HELD_OUT, DIVERGED = 0.25, 10.0
 
 
@@ -99,7 +99,7 @@ class Narx:
     """
 
     def fit(self, data: IdentificationData) -> Narx:
-        """Fit all orders; keep the one whose free run fits best."""
+        """Fit all orders; keep the order with the best free run."""
         self.middle = float(np.mean(data.input)), float(np.mean(data.output))
         self.scale = 0.5 * float(np.ptp(data.input)) or 1.0, 0.5 * float(np.ptp(data.output)) or 1.0
         u, y = self._scaled(data.input), (data.output - self.middle[1]) / self.scale[1]
@@ -171,14 +171,14 @@ class Narx:
         return float(found[-1]) if np.isfinite(found[-1]) else 0.0
 
 
-#: Hidden units, length of a training sequence and of its part without error, sequences per step, steps, learning rate.
+#: Hidden units, length of a training sequence and of its unevaluated part, sequences per step, steps, learning rate.
 UNITS, LENGTH, WARM_UP, BATCH, STEPS, RATE = 8, 160, 40, 32, 600, 1e-2
 
 
 class GatedRecurrentUnit:
     """A gated recurrent unit of 8 hidden units in parallel with a straight line, trained through time by Adam (seed 0).
 
-    Its inputs are the scaled input and its change. Cho et al., EMNLP 2014, doi 10.3115/v1/D14-1179.
+    The inputs of the unit are the scaled input and its change. Cho et al., EMNLP 2014, doi 10.3115/v1/D14-1179.
     """
 
     parameter_count = 3 * UNITS * (UNITS + 3) + UNITS + 2

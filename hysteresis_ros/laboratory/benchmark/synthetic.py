@@ -9,9 +9,9 @@
 
 """Synthetic recordings with a known truth: stages of other classes than the models of the package.
 
-The plants are those of :mod:`hysteresis_ros.laboratory.foreign`, drawn at random. The fit gets a recording with steps
-of the converter and noise of the sensor; the test is another input, and is judged against the displacement without
-noise.
+The plants are those of :mod:`hysteresis_ros.laboratory.foreign`, drawn at random. The fit gets a recording with the
+converter's steps and the sensor's noise. The test has another input, and the prediction is judged against the
+displacement without noise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.comparison.rows import Bench, drawn, recorded
 from hysteresis_ros.models.limits import Limits
 
-#: Length of the test [s]; its first part leads to the state and is not judged [s].
+#: Length of the test [s]; length of its first part, which determines the state and is not judged [s].
 DURATION, LEAD = 4.0, 0.5
 
 
@@ -46,7 +46,7 @@ def test_voltage(seed: int, bench: Bench) -> np.ndarray:
 def synthetic_task(seed: int, noise: float = 5e-9) -> Task:
     """Return the recordings of a plant.
 
-    Units: ``noise`` standard deviation of the sensor [m]. The class of its hysteresis follows from the seed.
+    Units: ``noise`` standard deviation of the sensor [m]. The seed determines the class of the plant's hysteresis.
     """
     bench = Bench(noise=noise)
     plant = drawn(seed, bench)

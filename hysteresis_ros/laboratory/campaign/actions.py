@@ -102,11 +102,11 @@ def _again(rig: Rig, victims) -> None:
 
 #: Keeps a core busy.
 BURN = "while True: sum(range(100000))"
-#: Used fraction of a small disk at which it counts as full, and the time observed after that [s].
+#: Used fraction of a small disk at which it counts as full, and the time that is observed afterwards [s].
 FILLED, AFTERWARDS = 0.75, 3.0
 #: Time in which a small disk becomes full [s].
 FULL = 60.0
-#: Longest part that may be missing at the end of an interrupted recording [s], and its length before that [s].
+#: Longest part that may be missing at the end of an interrupted recording [s], and its length before the interruption.
 LOST, RECORDED = 1.5, 2.0
 #: Jumps of the time of day [s], and the time between them [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
@@ -188,9 +188,9 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
     time.sleep(amount + 0.5)
 
 
-#: Time of the axis at which the faults of a fused loop begin [s]; by then it has started and made its first move.
+#: Time of the axis at which the faults of a fused loop begin [s]; by then the axis has started and made its first move.
 SCHEDULE = 12.0
-#: Duration of a measurement fault [s]; if the voltage must become safe, excess of the duration over the time-out [s].
+#: Duration of a measurement fault [s]; if the voltage must become safe, time by which the fault exceeds the time-out.
 LASTING, FURTHER = 3.0, 0.5
 
 
@@ -243,7 +243,7 @@ REFUSED, ONE_MASTER = 2, "one axis has one master"
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints, and the number of setpoints from one to the next.
+#: Invalid setpoints, and the number of setpoints from one invalid setpoint to the next.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 

@@ -26,7 +26,7 @@ CROSSING = 0.25
 #: Setpoints, as fractions of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
 #: Fraction of the stroke by which the displacement may leave the range between rest and setpoints. In addition it may
-#: move at the slew rate while voltages are late and the plant has not yet tripped.
+#: leave this range by the motion at the slew rate while voltages are late and the plant has not yet tripped.
 BEYOND = 0.1
 #: Fraction of the stroke within which a setpoint counts as reached.
 REACHED = 0.02
@@ -171,7 +171,7 @@ class Trace:
 #: Largest difference between the safe voltage and the voltage for a safe command, because of the inverse [fraction of
 #: the range].
 COMMANDED = 0.1
-#: Tolerance of comparisons for rounding errors.
+#: Tolerance of comparisons, for rounding errors.
 ROUNDING = 1e-9
 
 

@@ -84,7 +84,7 @@ _KILLED = {
     "plant_simulator": ("", ""),
     "reference_generator": ("", "after its restart it does not move the axis without a setpoint"),
 }
-#: Lost nodes at each of these sample rates [Hz], with the time-out that makes the voltage safe.
+#: Nodes that are lost, each with the time-out after which the voltage becomes safe; sample rates of these cases [Hz].
 _LOST = {"motion_controller": COMMAND, "hysteresis_compensator": VOLTAGE, "reference_generator": MEASUREMENT}
 LOSS_RATES = (10.0, 200.0, 3000.0)
 #: [s]

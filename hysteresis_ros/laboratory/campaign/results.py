@@ -58,7 +58,7 @@ def conditions() -> Conditions:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of one or more campaigns."""
+    """Results of one campaign, or of several together."""
 
     config: str  #: Configuration of the axis, with its sample rate if that was changed.
     verdicts: tuple[Verdict, ...]

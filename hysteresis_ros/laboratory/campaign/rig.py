@@ -280,7 +280,7 @@ class Rig:
         if not self.witness.rows:
             self._give_up("does not start")
         self.rest = self.witness.displacement
-        # voltages may be late at first when four processes start together on a busy machine
+        # at first, voltages may be late, because four processes start together on a busy machine
         if not any(self.follows() for _ in range(TRIES)):
             self._give_up("does not follow setpoints")
 

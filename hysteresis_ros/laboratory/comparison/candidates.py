@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import single_axis
 
-#: Kinds of damping that are tried, the simplest first; then the kind for a measured force.
+#: Kinds of damping by the displacement in the order in which they are tried; then the kind for a measured force.
 KINDS = ("irc", "ppf")
 BY_FORCE = ("iff",)
 
@@ -55,7 +55,7 @@ def has_force(axis: AxisParameters) -> bool:
 
 
 def damped_pid(given) -> dict:
-    """Return a PID with the first kind of damping whose loops meet the requirements of every design."""
+    """Return a PID with the first kind of damping with which all loops meet the requirements of every design."""
     return _kept(given, KINDS)
 
 
@@ -101,7 +101,7 @@ TUNING_PERIODS = 8
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Smallest mismatch that a design assumes.
 LEAST_MISMATCH = 1e-3
-#: Largest M_s of a loop whose gain and times deviate by the mismatch; same limit as for an unmodelled sample of delay.
+#: Largest M_s if gain and times of the model deviate by the mismatch; same limit as for an unmodelled sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
@@ -111,7 +111,7 @@ class Known:
 
     configuration: Configuration  #: One axis.
     noise: float = 0.0  #: Noise of the sensor [m rms], by its data sheet.
-    #: Uncertainty of the identified response, which learning respects as ``hysteresis design`` does; None: not known.
+    #: Uncertainty of the identified response; designs of learning use it like ``hysteresis design``. None: not known.
     response: ResponseUncertainty | None = field(default=None, compare=False)
 
     @property

@@ -244,7 +244,7 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 
 
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
-    """Return the trial on a plant of another class, and on plants to which it may change after its recording.
+    """Return the trial on a plant of another class, and on versions of it that have drifted since its recording.
 
     The designs and the references depend on the recording alone. The references are within the range of the model,
     reduced by the mismatch.
@@ -253,7 +253,7 @@ def trial_on_other(seed: int, conditions: Conditions) -> Trial:
     plant = drawn(seed, bench)
     given = identified(recorded(plant, bench, seed), bench)
     low, high = reachable([ModelledPlant(given.axis.plant_simulator)], "the identified model")
-    # without an inverse, references are checked against the gain alone, which creep and hysteresis may exceed
+    # without an inverse, references are checked with the gain alone; creep and hysteresis may exceed this motion
     alone = given.configuration.override("hysteresis_compensator", inverse__type="none")
     least, most = reachable_displacements(single_axis(alone))
     reach = max(low * (1.0 + conditions.mismatch), least), min(high * (1.0 - conditions.mismatch), most)

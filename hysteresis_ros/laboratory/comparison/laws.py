@@ -62,7 +62,7 @@ def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = Non
 
 @lru_cache(maxsize=64)
 def _searched(parameters, sample_time: float, place, around: Uncertainty | None):
-    """Search once for the parameters shared by several compensators; in a robust comparison around the model."""
+    """Search once for the parameters that several compensators share; if robust, on plants around the model."""
     aimed = FASTEST
     plants: tuple[PossiblePlant, ...] = ()
     if around is not None:
@@ -99,7 +99,7 @@ def _super_twisting(given) -> dict:
     return {**_gains(given, changes, place), **given.preview()}
 
 
-#: Feedforward of the reference ahead by the mean delay of the model; needs no preview.
+#: Feedforward of the reference plus its velocity times the mean delay of the model; needs no preview.
 BY_VELOCITY = {"feedforward.type": "velocity", "feedforward.preview": 0}
 
 _OWN = (

@@ -68,8 +68,8 @@ class Row:
     )  #: Results by name of the task; empty for a refused candidate.
     delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
     refused: str = ""  #: Reason why there are no results.
-    marked: str = ""  #: Unmet margins on its own model; the candidate is run and shown, but not ranked.
-    #: By name of the task: smallest ratio of the benchmark's error to the error of this row, over the plants.
+    marked: str = ""  #: Unmet margins on the candidate's own model; the candidate is run and shown, but not ranked.
+    #: By name of the task: ratio of the benchmark's error to the error of this row, the smallest over the plants.
     better: dict[str, float] = field(default_factory=dict)
     #: Time [s] and error [fraction of the stroke] on the worst plant of the candidate, by name of the task.
     errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -87,12 +87,12 @@ class Row:
 
     @property
     def ranked(self) -> bool:
-        """Whether it has a rank: it meets the margins required of every design, and was stable on all plants."""
+        """Whether the row has a rank: it has the margins required of every design, and was stable on all plants."""
         return bool(self.results) and not (self.refused or self.marked or self.unstable)
 
     @property
     def score(self) -> float:
-        """Geometric mean over the tasks of the RMS error on the worst plant, which determines the rank."""
+        """Geometric mean, over the tasks, of the RMS error on the worst plant; this score determines the rank."""
         if not self.results:
             return float("inf")
         worst = [result.worst for result in self.results.values()]
@@ -151,7 +151,7 @@ def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows, each with the ratio of the benchmark's error to its own on its worst plant."""
+    """Return the rows, each with the ratio of the benchmark's error to the row's own error on the row's worst plant."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -184,7 +184,7 @@ CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
 #: Initial size of the simplex: in the logarithm of Ki, and in Kp.
 SCALES = (3.0, 1.0)
-#: Requirements on the gains of a controller; here the plant itself decides, so no gains are refused.
+#: Requirements on the gains of a controller; none here, because the run on the plant itself decides.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
 #: Required gain margin as a factor: 6 dB.
 GAIN_MARGIN = 2.0
@@ -212,7 +212,7 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
 
 
 def _tuned(trial: Trial) -> PidParameters:
-    """Return the gains with the smallest score on the first plant that keep the margins required of a candidate there.
+    """Return the gains with the smallest score on the first plant among those with the margins of a candidate on it.
 
     The loop must tolerate 6 dB more gain, and one more sample of delay.
     """
@@ -307,10 +307,10 @@ def drawn(seed: int, bench: Bench) -> ForeignPlant:
 
 
 def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
-    """Return the plant, and variants of it as after a drift since its recording: at the corners, and at random.
+    """Return the plant, and variants of it as after a drift since its recording, at the corners and at random.
 
     Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by at most the
-    mismatch; at a corner the first three deviate by all of it, and the creep deviates like the gain.
+    mismatch; at a corner the first three deviate by exactly the mismatch, and the creep by the same factor as the gain.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
@@ -370,7 +370,7 @@ def identified(recording: Recording, bench: Bench) -> Known:
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
     configuration = configuration.override("hysteresis_compensator", **limits)
-    # a jump to the first reference would reach the slew rate, and is no part of a task
+    # a jump to the first reference would reach the slew rate, and no task evaluates it
     return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits, bench.noise)
 
 

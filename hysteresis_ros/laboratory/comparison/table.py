@@ -95,7 +95,7 @@ ERRORS = (
     ("undelayed", "%", lambda row, task: 100.0 * np.max(row.results[task].undelayed)),
     ("× PI", "", lambda row, task: row.better.get(task, 1.0)),
 )
-#: Columns of the effort, the largest over the references: heading, unit, and function of a Result.
+#: Columns of the control effort (the largest value over the references): heading, unit, and function of a Result.
 COSTS = (
     ("effort", "V/s", lambda result: np.max(result.effort)),
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
@@ -325,7 +325,7 @@ def best_text(comparison: Comparison) -> str:
         f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
         f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
     )
-    # with an inverse of the dynamics, a waveform with steps needs limits of motion in the file
+    # with an inverse of the dynamics, a waveform with steps requires limits of motion in the file
     axis = AxisParameters.from_configuration(chosen, single_axis(comparison.configuration).namespace)
     text = with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)
     single_axis(parse_configuration(text, "the best combination"))

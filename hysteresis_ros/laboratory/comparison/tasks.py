@@ -52,13 +52,13 @@ class Conditions:
     bits: int = 16  #: Resolution of the converter; 0: unlimited.
     draws: int = 20  #: Number of random plants close to the configured plant.
     others: int = 4  #: Number of plants of other classes.
-    seed: int = 1  #: Seed of the first plant; the others follow.
+    seed: int = 1  #: Seed of the first plant; the next plants have the following seeds.
     #: Whether sliding mode controllers are designed for the worst plants within the mismatch, with and without another
     #: sample of delay.
     robust: bool = False
     sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
     triangle_frequency: float = 10.0
-    sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Their peak-to-peak values, as fractions of the stroke.
+    sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Peak-to-peak references, as fractions of the stroke.
     triangle_stroke: float = 0.2
 
     def __post_init__(self):
@@ -247,7 +247,7 @@ class _ForeignInLoop(ActuatorPlant):
     """An actuator with hysteresis, creep and dynamics of another class, in one block."""
 
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
-        # this block contains creep and dynamics, of which the file has only models
+        # this block contains the creep and the dynamics; the creep and the dynamics in the file are only models of them
         super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
         block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # instead of a hysteresis
         chain = self.actuator
@@ -259,8 +259,8 @@ class _ForeignInLoop(ActuatorPlant):
 
 #: Number of delays that are tried, from 0 to the longest; a parabola interpolates between the best ones.
 DELAYS = 41
-#: A stable loop becomes periodic. This is the largest RMS difference between two periods, as a fraction of the
-#: reference; the noise of a stable loop is far below.
+#: Largest RMS difference between two periods of a stable loop, as a fraction of the reference, because a stable loop
+#: becomes periodic; its noise is far below.
 LOST = 0.1
 #: A limit cycle may lock to the period of the reference; it is detected when the voltage is at its limits for at least
 #: this fraction of the time.
@@ -277,7 +277,7 @@ class Followed(NamedTuple):
     effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
     chattering: float  #: ``chattering_m`` of the command [m rms], as in the same function.
     saturated: float  #: Fraction of the evaluated samples at which the voltage is at a limit.
-    #: Whether the plant tripped, was not periodic, or alternated between the limits.
+    #: Whether the plant tripped, its motion was not periodic, or the voltage alternated between the limits.
     unstable: bool
 
     def error(self, task: Task, delay: float) -> np.ndarray:

@@ -53,7 +53,7 @@ FAULTS = {
 }
 #: Faults of single lines.
 OF_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
-#: Number of random bytes of a line, including its end.
+#: Number of bytes of a random line, including the line end.
 GARBAGE = b"\xff\x00=\xb5 1e9\n"
 
 
@@ -71,7 +71,7 @@ class DeviceFaults:
             self.add(text)
 
     def add(self, text: str) -> None:
-        """Add a fault whose times count from now; ``none`` ends all faults."""
+        """Add a fault with times that count from now; ``none`` ends all faults."""
         if text == "none":
             self._entries = []
             return
@@ -142,7 +142,7 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest delay that a device catches up [s], so that it does not run fast after the machine was suspended.
+#: Longest time that a device catches up [s]; it would otherwise run too fast after the machine was suspended.
 LONGEST_CATCH_UP = 5.0
 
 #: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
@@ -189,7 +189,7 @@ class EmulatedPlant:
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
         self._actuator = Actuator(parameters, cycle)
-        self._actuator.advance(self._actuator.measure())  # the first sample compiles now, not at the first query
+        self._actuator.advance(self._actuator.measure())  # compiles the plant now, and not at the first query
         self._actuator.reset()
         self.cycle, self._clock = cycle, clock
         self.limits, self.gain = parameters.limits, self._actuator.hysteresis.gain
@@ -244,7 +244,7 @@ class Servo:
         return self.voltage
 
     def follow(self, target: float, velocity: float) -> float:
-        """Move for one sample towards a position, and return the voltage.
+        """Move towards a position for one sample, and return the voltage.
 
         Units: ``target`` [m], ``velocity`` [m/s].
         """

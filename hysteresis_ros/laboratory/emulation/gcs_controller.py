@@ -56,7 +56,7 @@ OPTIONS = {
     OPEN_LOOP: "Open-Loop Control of axis",
     VOLTAGE: "Voltage of output chan",
 }
-#: Triggers of the recorder: the wave generator; the wave generator or any move; none, it starts immediately.
+#: Triggers of the recorder: the wave generator; the wave generator or any move; none, the recorder starts immediately.
 BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
@@ -152,8 +152,8 @@ class TriggerLine:
             self.pulses.append(start + sign * number * step)
 
 
-#: Assumed: largest velocity of the servo [m/s], its on-target window [m], and the time within the window after which it
-#: is on target [s].
+#: Assumed: largest velocity of the servo [m/s], its on-target window [m], and the time within the window after which
+#: the servo is on target [s].
 VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
 
 
@@ -316,7 +316,7 @@ class Controller:
         self.recorder = Recorder(names)
         self.axes = {name: Axis(name, EmulatedPlant(plant, cycle, clock), self.recorder) for name in names}
         self.waves: dict[int, list[float]] = {}
-        #: For each generator: its wave table and number of cycles; then samples per point.
+        #: For each wave generator: its wave table and number of cycles; then the samples per point of the table.
         self.chosen: dict[str, int] = {}
         self.repeats, self.wave_rate = dict.fromkeys(names, 0), 1
         self.lines = {str(number + 1): TriggerLine(names[0]) for number in range(LINES)}

@@ -29,7 +29,7 @@ from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, Emula
 
 #: Names of the converters.
 DAC, ADC = "emulated-dac", "emulated-adc"
-#: Name of the software trigger; what is written to its file stays there, because no buffer is connected to it.
+#: Name of the software trigger; a text written to its file stays there, because no buffer is connected to the trigger.
 TRIGGER = "emulated-trigger"
 #: Bits of both converters. The DAC has 0 … 10 V, the ADC -10 … 10 V; code 0 is the lowest voltage.
 BITS, SPAN = 16, 10.0
@@ -102,7 +102,7 @@ class Converters:
         if not here:
             self._make(self.input, ADC, self._input_files())
         with contextlib.suppress(OSError, ValueError, IndexError):
-            # while a number is incompletely written, the previous value stays
+            # while a number is only partly written, the previous value remains in use
             told = int((self.output / "out_voltage0_raw").read_text(encoding="ascii").split()[0])
             off = (self.output / "out_voltage0_powerdown").read_text(encoding="ascii").startswith("1")
             self._put_out = 0 if off else min(max(told, 0), LEVELS - 1)

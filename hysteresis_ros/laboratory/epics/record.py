@@ -49,7 +49,7 @@ class MotorSettings:
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
     unit: str  #: Engineering unit, a unit of length.
     precision: int  #: Decimal places.
-    deadband: float = 0.0  #: A setpoint nearer to the position than this does not move the axis [m].
+    deadband: float = 0.0  #: Deadband: a setpoint within this distance from the position does not move the axis [m].
 
     @property
     def metres(self) -> float:
@@ -61,7 +61,7 @@ class MotorSettings:
 class RecordOptions:
     """Options of motor records."""
 
-    prefix: str  #: Prefix of their names.
+    prefix: str  #: Prefix of the records' names.
     unit: str  #: Engineering unit.
     precision: int  #: Decimal places.
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
@@ -172,7 +172,7 @@ class Seen(NamedTuple):
     setpoint: float
     alarm: Alarm
     ready: bool = False  #: Whether the displacement stays within the tolerance of the last move.
-    ready_in: float = math.nan  #: Predicted time from the setpoint until then [s]; 0: ready; NaN: not predicted.
+    ready_in: float = math.nan  #: Predicted time from the setpoint to ``ready`` [s]; 0: ready; NaN: not predicted.
 
 
 class Axis(Protocol):
@@ -256,7 +256,7 @@ class MotorRecord:
         self._go(user, now)
 
     def _put_dval(self, dial: float, now: float) -> None:
-        if self.fields["SET"] == "Use":  # otherwise the write changes only the record's zero, not the zero of the axis
+        if self.fields["SET"] == "Use":  # otherwise the write changes only the zero of the record, not that of the axis
             self._go(self._user(dial), now)
 
     def _put_rlv(self, distance: float, now: float) -> None:

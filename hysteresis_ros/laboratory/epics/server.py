@@ -90,7 +90,7 @@ async def _write_value(group, instance, value):
 
 
 class Position(PvpropertyDouble):
-    """A position that the record refuses with its alarm, instead of an exception of caproto."""
+    """A position; the record refuses an invalid one with its alarm, and not with an exception of caproto."""
 
     async def verify_value(self, value):
         """Pass a value from a client to the record."""
@@ -142,7 +142,8 @@ class Motor(PVGroup):
     async def tell(self) -> None:
         """Publish the changes to clients.
 
-        The alarm comes first, and the end of a move last, so that a waiting client then finds all other fields updated.
+        The alarm is published first and the end of a move last, so that a client that waits for the end then finds all
+        other fields updated.
         """
         async with self._telling:
             record = self.record

@@ -29,7 +29,7 @@ from hysteresis_ros.nodes.launcher import Graph, die_with_parent, node_environme
 
 #: Time that the server gets to exit before it is killed [s].
 PATIENCE = 5.0
-#: Polling interval of a server whose axes another process runs [s].
+#: Polling interval of a server if another process runs the axes [s].
 LOOK = 0.1
 LOOPBACK = "127.0.0.1"
 
@@ -41,7 +41,7 @@ def require_caproto() -> None:
 
 
 def interfaces(given: str | None) -> list[str]:
-    """Return the addresses to listen on: given, from ``EPICS_CAS_INTF_ADDR_LIST``, or else the loopback address."""
+    """Return the addresses to listen on: those given, those in ``EPICS_CAS_INTF_ADDR_LIST``, or loopback."""
     text = given or os.environ.get("EPICS_CAS_INTF_ADDR_LIST", "")
     return text.replace(",", " ").split() or [LOOPBACK]
 
@@ -66,7 +66,7 @@ def serve(
 ) -> int:
     """Serve motor records until a request to exit or the end of the server; return its exit code.
 
-    The ``axes`` are started before, those of a ``stage`` together.
+    The ``axes`` are started before the server, those of a ``stage`` together.
     """
     require_ros()
     require_caproto()
@@ -98,7 +98,7 @@ def serve(
 
 
 def _end(server: subprocess.Popen) -> None:
-    """End the server, which needs no cleanup."""
+    """End the server; it needs no cleanup."""
     if server.poll() is None:
         server.terminate()
         try:

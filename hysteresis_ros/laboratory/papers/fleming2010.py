@@ -9,7 +9,7 @@
 
 """The claims in the abstract of Fleming, Aphale & Moheimani 2010 (integral resonant control), on an assumed scanner.
 
-Only the abstract was available: the scanner and the gains are assumed as far as it does not give them.
+Only the abstract was available. Values of the scanner and gains that the abstract does not give are assumed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass and uncha
 TIMES = 10.0  # "greater than 10 times"
 LINES = 31.0  # images at this many lines a second
 
-#: Damping of a single resonance for which integral control has that bandwidth at that margin.
+#: Damping of a single resonance with which integral control has this bandwidth at this gain margin.
 DAMPING = INTEGRAL_BANDWIDTH / (2.0 * RESONANCE * 10.0 ** (-INTEGRAL_MARGIN / 20.0))
 
 # Assumed here.
@@ -90,8 +90,8 @@ def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
 def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerParameters:
     """Return damping and tracking as in the paper: an integrator in front of C₂(s) = −k/(s − k D_f).
 
-    Here the law's output enters after C₂, so the law must contain the pole of C₂ too. The law gain k/(γ s (s + N)) with
-    N = −k D_f is a PID with derivative filter N.
+    In this package the law's output is added after C₂, so the law must contain the pole of C₂ too.
+    The law gain k/(γ s (s + N)) with N = −k D_f is a PID with derivative filter N.
 
     Units: ``gain`` [1/s], ``k`` [1/s].
     """

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Results of the identification procedures of the three papers on simulated truth, as quoted in the documentation.
+"""Results of the three papers' identification procedures on simulated plants, as quoted in the documentation.
 
-The simulated truth is never of the class of the fitted model, except for paper B, where the parameters themselves must
-be recovered.
+The simulated plant is never of the class of the fitted model, except for paper B, for which the parameters of the plant
+must be recovered.
 """
 
 from __future__ import annotations

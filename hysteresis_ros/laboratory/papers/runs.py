@@ -41,7 +41,7 @@ SAMPLE_TIME = 1e-3  # of the simulated recordings [s]; the models are rate indep
 
 
 def triangles(peaks, samples: int = 250) -> np.ndarray:
-    """Return triangles from 0 to each of ``peaks`` and back, ``samples`` samples a branch (2 Hz: 250 at 1 kHz)."""
+    """Return triangles from 0 to each of ``peaks`` and back, ``samples`` samples per branch (2 Hz: 250 at 1 kHz)."""
     rise = np.arange(1, samples + 1) / samples
     return np.concatenate([[0.0], *(peak * np.concatenate([rise, 1.0 - rise]) for peak in peaks)])
 
@@ -113,8 +113,8 @@ def step_figures(run: Recording) -> StepFigures:
 def loop_width(run: Recording) -> float:
     """Return the largest width of the loop of displacement over reference, in % of the stroke of the reference.
 
-    The reference of sample k first acts on the displacement of sample k + 1, and these are compared. With a preview the
-    delayed reference is compared with the displacement of the same sample.
+    The reference of sample k first acts on the displacement of sample k + 1, so these two are compared. With a preview
+    the delayed reference is compared with the displacement of the same sample.
     """
     late = 0 if axis_settings(run).preview else 1
     reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]

@@ -44,7 +44,7 @@ from hysteresis_ros.units import quantity, quantity_in
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance between drawn numbers; it keeps them away from 0 and 1, where a normal distribution is infinite.
+#: Half the distance between drawn numbers, so that none is 0 or 1, where a normal distribution is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -181,7 +181,7 @@ class Spread:
     kind: str  #: One of :data:`SPREADS`.
     first: float  #: first, second: Ends, or mean and standard deviation.
     second: float
-    does: str = VALUE  #: Distribution of values, of factors or of offsets.
+    does: str = VALUE  #: Whether the distribution is that of values, of factors or of offsets.
     whole: bool = False  #: Whether the values are integers; both ends are included.
 
     @property
@@ -390,12 +390,12 @@ def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float,
 
 
 def _written(value: float, unit: str = "") -> str:
-    """Return the text of a number that reads back as the same bits; a length gets its unit."""
+    """Return a number as a text from which the same bits are read; a length gets its unit."""
     return repr(float(value)).removesuffix(".0") + (unit if unit == "m" else "")
 
 
 def _percent(part: float) -> str:
-    """Return a fraction as a text in per cent that, if possible, reads back as the same bits."""
+    """Return a fraction as a text in per cent, from which, if possible, the same bits are read."""
     percents = 100.0 * part
     near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
     return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
@@ -487,7 +487,7 @@ class Variation:
 
     node: str  #: node, name: Node and dotted name; for the plant also one of :data:`DEVIATIONS`.
     name: str
-    row: ParameterRow  #: Its row in the table of parameters.
+    row: ParameterRow  #: Row of the parameter in the table of parameters.
     over: Levels | Spread
     place: int | None = None  #: Index of the element of an array.
 
@@ -502,7 +502,7 @@ class Variation:
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):
-        """Return the new value of the parameter, and the number that stands for it in the results."""
+        """Return the new value of the parameter, and the number that represents it in the results."""
         drawn = self.over.at(place)
         if isinstance(present, tuple) and self.place is None:  # the range of a whole array is a factor
             return tuple(drawn * value for value in present), drawn
@@ -623,7 +623,7 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
 
 
 def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tuple[dict[str, dict[str, Any]], list]:
-    """Return the values of a run by node and name, and the numbers that stand for them in the results."""
+    """Return the values of a run by node and name, and the numbers that represent them in the results."""
     numbers: list = []
     changes: dict[str, dict[str, Any]] = {}
     for one, place in zip(variations, point, strict=True):

@@ -78,8 +78,8 @@ def judged_motor(
 ) -> list[float]:
     """Return metrics of a run of an inchworm motor; an undefined metric is NaN.
 
-    All are defined by :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`, and the worst move to a setpoint
-    counts. If a move did not arrive, the time and the final errors are undefined.
+    All metrics are defined by :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; that of a run is the value of
+    the worst move to a setpoint. If a move did not arrive, the time and the final errors are undefined.
     """
     recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
     found = figures_of(inchworm_run(recording, settings), recording)
@@ -180,8 +180,8 @@ def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
 
 #: Lock for compilation and Python code, which run in one thread of a worker at a time.
 _ONE_AT_A_TIME = threading.Lock()
-#: A block of this size [bytes] is allocated and freed before the runs. The C library of Linux then keeps the memory
-#: that runs free; otherwise the system would map every page of their tables again, 440 pages per run.
+#: A block of this size [bytes] is allocated and freed before the runs. The C library of Linux then keeps memory that a
+#: run frees; otherwise the system would map every page of the tables again for the next run, 440 pages per run.
 KEPT = 31 * 2**20
 
 
@@ -189,8 +189,8 @@ class Runs(NamedTuple):
     """Results of consecutive runs."""
 
     first: int  #: Number of the first run.
-    rows: list[list[float]]  #: Metrics of each run, and whether its axis tripped.
-    refused: dict[int, str]  #: Numbers of the runs whose axis cannot be built, with reasons.
+    rows: list[list[float]]  #: Metrics of each run, and whether the axis tripped in it.
+    refused: dict[int, str]  #: Numbers of the runs for which the axis cannot be built, with reasons.
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +209,7 @@ class Study:
 
     @functools.cached_property
     def _of_plant(self) -> bool:
-        """Whether only the plant varies; the expected range of an axis then stays the same."""
+        """Whether only the plant varies, so that the range that the axis expects stays the same."""
         return all(one.node == PLANT for one in self.variations)
 
     def runs(self, first: int, points: np.ndarray) -> Runs:

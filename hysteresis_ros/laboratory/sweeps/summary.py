@@ -33,7 +33,7 @@ from hysteresis_ros.laboratory.sweeps.study import BETWEEN, METRICS, require_met
 from hysteresis_ros.laboratory.sweeps.sweep import Results
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Suffixes of metrics and their SI units; the first match counts.
+#: Suffixes of metrics and their SI units; the first suffix that matches is used.
 _UNITS = {
     "_m_s": "",
     "_v_s": "",

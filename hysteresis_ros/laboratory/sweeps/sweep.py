@@ -9,8 +9,8 @@
 
 """Execution of a sweep: the runs of a plan in parallel, stored as they finish, and resumed after an interruption.
 
-The first line of the journal defines the sweep; each further line contains some runs. Numbers read back as the same
-doubles. An incomplete last line is ignored, and its runs are repeated.
+The first line of the journal defines the sweep; each further line contains some runs. Numbers are written such that
+reading them gives the same doubles. An incomplete last line is ignored, and its runs are repeated.
 """
 
 from __future__ import annotations

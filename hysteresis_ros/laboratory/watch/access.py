@@ -9,9 +9,9 @@
 
 """Access control and request format of the page of an axis; no ROS, no web server.
 
-A foreign page that is open in a browser of the laboratory can send requests to this machine. But it cannot send the
-origin of this server (``Origin``) or its name (``Host``; with "DNS rebinding" it remains the name of the foreign page),
-and it does not know the token. Every request is checked before it reaches the axis.
+A foreign page that is open in a browser of the laboratory can send requests to this machine. But such a request cannot
+have this server's origin (``Origin``) or name (``Host``; with "DNS rebinding" the name remains that of the foreign
+page), and the foreign page does not know the token. Every request is checked before it reaches the axis.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hysteresis_ros.errors import HysteresisError, did_you_mean, shortened
 from hysteresis_ros.files import BoundsError, read_json
 from hysteresis_ros.units import quantity
 
-#: Cookie that keeps the token after its first use in the address.
+#: Cookie that stores the token after its first use in an address.
 COOKIE = "hysteresis_watch"
 #: Random bytes in a token.
 TOKEN_BYTES = 24
@@ -126,7 +126,7 @@ class Control:
         return f"another page has the control ({self._place}, since {since}): take it over first"
 
     def told(self, page: int) -> dict:
-        """Return the control's state as it is sent to a page."""
+        """Return the state of the control in the form that is sent to a page."""
         return {
             "mine": self._holder == page,
             "holder": self._place if self._holder is not None else "",

@@ -117,7 +117,7 @@ def _unused(path: pathlib.Path) -> pathlib.Path:
 LOOK, ANSWER = 1.0, 5.0
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Nodes to start, in this order; nodes to stop if the plant is not one of this package.
+#: Nodes to start, in this order; nodes to stop if the plant does not belong to this package.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 #: Time in which the nodes must notice that the plant has started, and polling interval [s].
@@ -142,7 +142,7 @@ class AxisLink:
         self.health: dict[str, dict] = {}
         self.refusals: list[str] = []
         self.recording: PageRecording | None = None
-        #: Whether the last move is ready, and its predicted time [s]; NaN: not predicted.
+        #: Whether the last move is ready, and the predicted time until it is [s]; NaN: not predicted.
         self.ready, self.ready_in = False, math.nan
         #: Namespaces of other axes.
         self.elsewhere: list[str] = []
@@ -262,7 +262,7 @@ class AxisLink:
     def _look_beside(self, others: dict[str, list[str]]) -> None:
         """Check whether the axis is one of a stage, and which other axis is shown with it in a plane."""
         parent = self.namespace.rpartition("/")[0]
-        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page may read its own axis only
+        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page may read only its own axis
         is_stage = self._axis is not None and not secured and self.node.count_subscribers(f"{parent}/setpoints")
         whole = {
             space
@@ -360,7 +360,7 @@ class AxisLink:
             return
         if not self.memory.add(
             block
-        ):  # a gap before these samples: the axis has restarted, perhaps with other parameters
+        ):  # a gap before these samples means that the axis has restarted, perhaps with other parameters
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
@@ -438,12 +438,12 @@ class AxisLink:
         return f"{', '.join(f'{name} = {value}' for name, value in values.items())}"
 
     def start(self) -> str:
-        """Start all nodes that are stopped, and the waveform; return the text of the answer."""
+        """Start all stopped nodes and the waveform; return the text of the answer."""
         said: list[str] = []
         deadline = time.monotonic() + HEARS
         for node in [node for node in STARTED if node in self.values]:
             answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
-            # after the start of the plant the other nodes notice it with their next sample
+            # the other nodes notice the start of the plant with their next sample
             while not answer.success and said and time.monotonic() < deadline:
                 time.sleep(AGAIN)
                 answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
@@ -500,7 +500,7 @@ class AxisLink:
         self._write(MARKER, text)
 
     def stop(self) -> None:
-        """Publish a stop: to the plant, or to all other nodes when the plant is not one of this package."""
+        """Publish a stop: to the plant, or to all other nodes if the plant does not belong to this package."""
         self._stops.publish(Bool(data=True))
         if signals.PLANT not in self.values:
             for client in self._triggers.values():

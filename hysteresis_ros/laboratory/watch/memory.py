@@ -29,7 +29,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.samples import SECOND, Block
 from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
 
-#: An incomplete sample is shown when there is a sample that is newer by this time [ns].
+#: An incomplete sample is shown as soon as there is a sample that is newer by this time [ns].
 PART_PATIENCE = 300_000_000
 #: Maximum number of incomplete samples that are kept.
 MOST_PENDING = 20_000
@@ -81,7 +81,7 @@ class Collector:
         rows = [self._pending.pop(int(stamp))[0] for stamp in stamps]
         self._done = max(self._done, until)
         table = np.array(rows).T.reshape(self._row, len(rows))
-        # counted, because a late plant shifts its schedule: stamps do not give the sample number
+        # samples are counted: a late plant shifts its schedule, so the stamp does not give the number of the sample
         self._count += len(rows)
         return Block(stamps, np.arange(self._count - len(rows), self._count), table, None)
 

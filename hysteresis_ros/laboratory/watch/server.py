@@ -347,7 +347,7 @@ class Server:
         return f"walks at {1e6 * speed:g} µm/s" if speed else "holds its position until the next setpoint"
 
     async def _given(self, name: str, value: float, shown: str, give: Callable[[float], None]) -> None:
-        """Send the reference source a value, ``shown`` so in refusals; wait until a sample shows that it is in use."""
+        """Send the reference source a value, in refusals ``shown``; wait until a sample shows that it is used."""
         link = self.link
         if not link.memory.is_live:
             raise HysteresisError(f"the axis is silent: no node would receive the {name}")

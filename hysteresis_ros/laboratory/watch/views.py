@@ -9,8 +9,8 @@
 
 """Data of a page: history and frames of the samples, and a table of the parameters in use; without ROS and web server.
 
-At kilohertz, one column of the screen covers many samples. It shows their minimum and maximum, in the order in which
-they occurred, so no peak is lost however short it is.
+At sample rates of kilohertz, one column of the screen covers many samples. The column shows their minimum and maximum,
+in the order in which they occurred, so no peak is lost, however short it is.
 
 A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, followed by
 numbers, float32, little-endian: for each signal in the header and each column of the screen the minimum and the maximum
@@ -91,7 +91,7 @@ def extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return the points of a curve of several signals at which one of them has its minimum or maximum in a bin."""
+    """Return the points of a curve of several signals at which one signal has its minimum or maximum in a bin."""
     rows = len(table)
     if length <= 2 * rows:
         return table
@@ -202,7 +202,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Return whether a parameter has no effect because its law is not selected or its block is absent."""
+    """Return whether a parameter has no effect because the law that has it is not selected or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True

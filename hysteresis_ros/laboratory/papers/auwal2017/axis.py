@@ -119,7 +119,7 @@ def creeping(configuration: Configuration) -> Configuration:
 
 
 def off(configuration: Configuration, name: str, part: float) -> Configuration:
-    """Return the axis with the relative error ``part`` in the compensator's parameter ``name``."""
+    """Return the axis with a relative error ``part`` of the compensator's parameter ``name``."""
     value = configuration.node("hysteresis_compensator")[f"hysteresis.bouc_wen.{name}"]
     return configuration.override("hysteresis_compensator", **{f"hysteresis__bouc_wen__{name}": value * (1.0 + part)})
 
@@ -170,5 +170,5 @@ def mean_error(recording: Recording) -> float:
 
 
 def reduction(value: float, without: float) -> float:
-    """Return by what percentage ``value`` is less than ``without``."""
+    """Return by what percentage ``value`` is smaller than ``without``."""
     return 100.0 * (1.0 - value / without)

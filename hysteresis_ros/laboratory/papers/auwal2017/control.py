@@ -132,7 +132,7 @@ def tuning_claims(found: Tuning) -> list[Claim]:
 
 
 def paper_runs(configuration: Configuration) -> dict[str, Recording]:
-    """Return the paper's triangle driven by each of its three ways, and by inverse, PID and feedforward together."""
+    """Return runs of the paper's triangle: driven in its three ways, and by inverse, PID and feedforward together."""
     ways = ("none", "pid", "inverse", "combined")
     return {method: auwal.run_triangle(auwal.driven(configuration, method)) for method in ways}
 
@@ -252,7 +252,7 @@ def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, R
 
 
 def unavoidable() -> float:
-    """Return the integral of the error [m s] while the returning reference is below the displacement at 0 V."""
+    """Return the integral of the error [m s] while the falling reference is below the displacement at 0 V."""
     element = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME)
     rise = np.linspace(0.0, auwal.ALLOWED[1], 15001)
     peak = float(np.interp(auwal.HEIGHT, element.simulate(rise), rise))
@@ -332,11 +332,11 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
 
 
 def camera_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of an axis with the paper's camera as its sensor."""
+    """Return the rows of an axis that has the paper's camera as its sensor."""
     group = "Realistic conditions: the camera in the loop, the paper's triangle"
     axis = auwal.noisy(auwal.at_rate(configuration, auwal.FRAME_RATE), auwal.CAMERA_NOISE)
     axis = auwal.limited(axis, *auwal.NEGATIVE)
-    # the plant rings at 1.28 Hz: at this rate only an integral controller is stable with a margin
+    # the plant rings at 1.28 Hz: at the camera's rate only an integral controller is stable with a margin
     calm = dict(pid__Kp=0.0, pid__Ki=auwal.TABLE_1["K"], pid__Kd=0.0)
     feedforward = auwal.driven(axis, "combined").override("motion_controller", **calm)
     runs = {"pid": auwal.driven(axis, "pid"), "inverse": auwal.driven(axis, "inverse"), "combined": feedforward}
@@ -441,7 +441,7 @@ def _ways(name: str, group: str, words: str, runs: dict[str, Recording], assumed
 
 
 def _judged(name: str, group: str, words: str, errors, assumed, reason: str = "") -> list[Claim]:
-    """Return the rows; improved controllers must have smaller errors than the better of the paper's two."""
+    """Return the rows; improved controllers must have smaller errors than the better of the paper's two controllers."""
     shown = {method: worst(list(values.values())) for method, values in errors.items()}
     better = min(shown["pid"], shown["inverse"])
     claims = []

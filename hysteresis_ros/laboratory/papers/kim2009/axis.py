@@ -44,7 +44,7 @@ WIDTHS = {1.0: {0: 15.0, 1: 8.2, 3: 1.7, 6: 0.26}, 1.12: {1: 9.3, 3: 1.8, 6: 0.1
 # Assumed here; the amplifier's gain is that of config/kim2009.yaml.
 AMPLIFIER = 20.0
 MAXIMUM_VOLTAGE = 120.0
-SLOW_FREQUENCY = 0.05  # Hz: the dynamics lag behind by less than 0.01 % of the stroke
+SLOW_FREQUENCY = 0.05  # Hz: the lag of the dynamics is less than 0.01 % of the stroke
 DISTURBANCE_VARIANCE = 0.01  # V² a sample
 FAST_VARIANCE = 1.0
 MISMATCH = 0.05
@@ -74,7 +74,7 @@ REAL = "compensator's coefficients off by ±5 % (the worse result is shown), sen
 
 
 def ideal(configuration: Configuration) -> Configuration:
-    """Return the axis with converters of unlimited resolution; plant and compensator share one model anyway."""
+    """Return the axis with converters of unlimited resolution; plant and compensator already share one model."""
     return configuration.override("plant_simulator", limits__bits=0).override("hysteresis_compensator", limits__bits=0)
 
 
@@ -85,7 +85,7 @@ def real(configuration: Configuration, mismatch: float) -> Configuration:
 
 
 def real_opening(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis of :func:`real` with only the width of the compensator's loop off by ``mismatch``."""
+    """Return the axis of :func:`real`, but with only the width of the compensator's loop off by ``mismatch``."""
     model = configuration.node("hysteresis_compensator")
     changed = {}
     for branch in ("rising", "falling"):
@@ -104,7 +104,7 @@ def without_hysteresis(configuration: Configuration) -> Configuration:
 
 
 def without_dynamics(configuration: Configuration) -> Configuration:
-    """Return the axis with a plant that is its hysteresis element alone."""
+    """Return the axis with a plant that consists of its hysteresis element alone."""
     none = dict(dynamics__A=[], dynamics__B=[], dynamics__C=[], dynamics__output_scale=1.0)
     return configuration.override("plant_simulator", **none)
 

@@ -124,7 +124,7 @@ def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -
     u = random.standard_normal(samples)
     y = LinearDynamics(LinearParameters(**structure, output_scale=1e-6), 1.0 / rate).simulate(u)
     y += noise * y.std() * random.standard_normal(samples)
-    # a block returns the response at the end of its sample: u[k] already affects y[k]
+    # a block returns the response at the end of a sample, so u[k] already affects y[k]
     response = welch_response(u[1:], y[:-1], 1.0 / rate, segment=8192).band(135.0, 1135.0)
     fit = identify_matrix_fraction(response)
     mode = fit.model.modes[0]
@@ -154,7 +154,7 @@ GROUP = "Identification (sections 2.2 to 2.4)"
 
 
 def run_excitation(configuration: Configuration) -> Recording:
-    """Return the open-loop run of a multisine through the whole plant, uncompensated."""
+    """Return the open-loop run of a multisine on the whole plant, without compensation."""
     plant = kim.open_loop(kim.uncompensated(kim.real(configuration, 0.0)))
     values = dict(waveform__type="multisine", waveform__frequency=1.0, waveform__amplitude=EXCITATION)
     values |= dict(waveform__multisine__first_harmonic=BAND[0], waveform__multisine__last_harmonic=BAND[1])

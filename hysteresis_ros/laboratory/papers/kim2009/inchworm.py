@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of the inchworm axis: moves in both directions, spread of the step length, speed, and random sequences.
+"""Figures of the inchworm axis: moves in both directions, spread of step lengths, speed, and random sequences.
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.inchworm`` prints them all; ``--moves``, ``--plants`` and
 ``--sequences`` set the numbers of runs.
@@ -37,7 +37,7 @@ LOADED = {
     "inchworm__rear_clamp__wear": 0.8,
 }
 
-#: Realistic conditions: each parameter of the extender up to 5 % off, and it creeps by 1.5 % a decade.
+#: Realistic conditions: each parameter of the extender is up to 5 % off, and the extender creeps by 1.5 % a decade.
 MISMATCH = 0.05
 CREEP = {"creep__type": "logarithmic", "creep__logarithmic__rate": 0.015}
 
@@ -159,7 +159,7 @@ class Sequences:
     both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
     least_force: float  #: Smallest value over all samples of the larger of the two clamps' normal forces [N].
     beyond_limits: int  #: Samples at which a voltage was outside of its limits.
-    #: Largest displacement beyond what a sequence requested by its start, setpoints and walking distance [m].
+    #: Largest displacement beyond the positions that a sequence requests by start, setpoints and walking distance [m].
     farthest: float
     unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.
     slowest_stop: float  #: Longest time from a stop to both clamps above the threshold voltage [s].
@@ -239,7 +239,7 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
             again = np.flatnonzero(requests[k + 1 :]) + 1
             wait = int(after[0]) if after.size else len(closed)
             if again.size and again[0] <= wait:
-                continue  # another request came before
+                continue  # another request arrived earlier
             if k + wait < len(closed):
                 slowest = max(slowest, wait)
             unsafe += int(wait > longest and k + longest < len(closed))

@@ -183,7 +183,7 @@ def estimating_claims(configuration: Configuration) -> list[Claim]:
     return rows
 
 
-#: Width of a loop that counts as closed, % of the stroke.
+#: Largest width of a loop that counts as closed, % of the stroke.
 CLOSED = dict(paper="closed", high=0.01)
 
 
@@ -351,9 +351,9 @@ class Condition:
 
     name: str  #: Middle part of the rows' names.
     words: str
-    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes, of which the worst counts.
+    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes; the worst one is evaluated.
     assumed: tuple[str, ...] = (ALONE,)
-    mismatch: float = 0.0  #: Deviation of two axes in both directions; 0: a single axis.
+    mismatch: float = 0.0  #: Deviation of two axes, one in each direction; 0: a single axis.
     reasons: tuple[tuple[str, str], ...] = ()  #: Name of a row, and the reason why it does not hold.
 
 
@@ -367,7 +367,7 @@ def _plant(**values) -> Callable[[Configuration], list[Configuration]]:
 
 
 def other_structure(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis whose plant has its resonance off by ``mismatch``, unknown to the controller."""
+    """Return the axis with the plant's resonance off by ``mismatch``, unknown to the controller."""
     A = np.array(configuration.node("plant_simulator")["dynamics.A"]).reshape(3, 3)
     poles, vectors = np.linalg.eig(A.astype(complex))
     moved = np.where(np.abs(poles.imag) > 0.0, np.exp((1.0 + mismatch) * np.log(poles)), poles)

@@ -11,8 +11,8 @@
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor differs from its models: its
 extender deviates at random from the configured extender, and its voltages are a sample late. The motor is simulated at
-four times the sample rate, and errors are those of the true displacement at this rate. The correction that was learned
-at one speed is used at other speeds.
+four times the sample rate, and errors are those of the true displacement at this rate. The correction learned at one
+speed is used at other speeds.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from hysteresis_ros.recordings.dataset import Recording
 VOLTAGE = 1.0  # V, amplitude of the sines
 FREQUENCIES = {"0.5π": 0.25, "π": 0.5, "2π": 1.0}  # rad/s → Hz
 PUBLISHED_ALPHA = 80.0
-REDUCTION = 50.0  # %, of the tracking RMS, at least
+REDUCTION = 50.0  # %, least reduction of the tracking RMS
 LARGEST_ERROR = 5.0  # % of the amplitude, "about"
 
 # Computed for a Prandtl-Ishlinskii truth whose parameters were not recorded.
@@ -31,7 +31,7 @@ WRONG_SIGN = (0.06, 0.12)  # RMS, of ±1
 CLOSED_FORM = 1e-5
 
 # Assumed here.
-AMPLITUDE = 0.75e-3  # m, of the references: ±1 V reaches it at all three frequencies
+AMPLITUDE = 0.75e-3  # m, amplitude of the references: ±1 V reaches it at all three frequencies
 NOISE = 1e-6  # m rms
 WIDE = 10.0  # V, limits that stand for an unlimited axis
 CREEP = 0.01  # a decade
@@ -153,7 +153,7 @@ def run_sine(configuration: Configuration, frequency: float, amplitude: float, c
 def delayed_reference(configuration: Configuration, recording: Recording) -> np.ndarray:
     """Return the reference for the error, shape (N,) [m]: the received reference, delayed by ``preview``.
 
-    The preview comes from ``configuration``, which is faster than reading its text from every recording.
+    The preview is read from ``configuration``, which is faster than from the text in every recording.
     """
     preview = int(configuration.node("motion_controller").get("feedforward.preview", 0))
     return delayed(recording["reference"], preview)

@@ -27,10 +27,10 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-SAMPLES = 1000  # of a cycle of the truth's element alone, which is rate independent
+SAMPLES = 1000  # samples of a cycle of the truth's element alone, which is rate independent
 DECAY = 4.0  # cycles in which the amplitude of the unseen loops falls to 1/e
 UNSEEN_CYCLES = 10
-REVERSALS = (0.0, 0.3)  # of ±1: from the upper end down to the first value, then up to the second
+REVERSALS = (0.0, 0.3)  # fractions of ±1: from the upper end down to the first value, then up to the second
 KNOTS = 20
 
 ELEMENT = "the truth's hysteresis element alone, without noise and linear part"
@@ -77,7 +77,7 @@ class Element:
 
 
 def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
-    """Return the rms error (of ±1) of the Duhem equation along a loop, by W3 and by its misreadings."""
+    """Return the rms error (of ±1) of the Duhem equation along a loop, with W3 as intended and as it may be misread."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     rising, falling = (CubicSpline(loop.grid, branch) for branch in (loop.rising, loop.falling))
@@ -192,7 +192,7 @@ def _alone(element: Element, alpha: float) -> float:
 
 
 def _wrong_way(element: Element, alpha: float) -> float:
-    """Return the fall of the output while the input rises again from inside the loop [m]."""
+    """Return by how much the output falls while the input rises again from inside the loop [m]."""
     down, up = REVERSALS
     model = element.duhem(alpha)
     model.simulate(element.cycle)
