@@ -26,7 +26,7 @@ from hysteresis_ros.signals import Edge
 
 
 class Device:
-    """An open device. Every error of its driver becomes a DriverError that names the device.
+    """An open device. Every error of the driver becomes a DriverError that names the device.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ class Device:
         self._open = True
         self._written: float | None = None
         self._functions: _MethodFunctions | None = None
-        #: The lock is held while the device is made safe or closed; the event stops the attempts to make it safe in the
-        #: background.
+        #: The lock is held while the device is made safe or closed; the event ends the background attempts to make the
+        #: device safe.
         self._calling, self._over = threading.RLock(), threading.Event()
         self._over.set()
         try:
@@ -129,8 +129,8 @@ class Device:
         Raises
         ------
         DriverError
-            There are too many voltages, or one is not finite or out of the device's range (then none is sent), or the
-            device refuses them.
+            There are too many voltages, or one is not finite or out of the device's range (then no voltage is sent), or
+            the device refuses them.
         """
         with self._named("cannot be written"):
             self._write_checked(voltages)
@@ -218,7 +218,8 @@ class Device:
     def compiled(self) -> Compiled:
         """Return the functions by which machine code reads and writes the device.
 
-        Those of a driver without a compiled form call its methods in Python, for which they take the interpreter lock.
+        If the driver has no compiled form, these functions call its methods in Python, and take the interpreter lock
+        for this.
 
         Raises
         ------
@@ -246,7 +247,7 @@ class Device:
         Raises
         ------
         DriverError
-            The device does not answer; the message states the voltage that is still at its output.
+            The device does not answer; the message states the voltage that is still at the device's output.
         """
         if not self._open:
             return
@@ -267,7 +268,7 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Make the device safe in the background and repeat this until it is safe; other calls wait for it.
+        """Attempt to make the device safe, in the background, until it is safe; other calls wait for a running attempt.
 
         Parameters
         ----------
@@ -287,14 +288,14 @@ class Device:
             with self._calling:
                 if over.is_set():
                     return
-                with contextlib.suppress(DriverError):  # the first attempt has already reported it
+                with contextlib.suppress(DriverError):  # the first attempt has already reported the error
                     if wanted():
                         self.make_safe()
                         done()
                     over.set()
 
     def desist(self) -> None:
-        """Stop making the device safe in the background, after the end of a running attempt."""
+        """Stop the background attempts to make the device safe, after the end of a running attempt."""
         self._over.set()
         with self._calling:
             pass
@@ -305,7 +306,7 @@ class Device:
         Returns
         -------
         str
-            Problem that remains at the device, for instance a voltage that is still at its output; empty: none.
+            Problem that remains at the device, for instance a voltage that is still at the output; empty: none.
         """
         self.desist()
         if not self._open:
@@ -333,14 +334,15 @@ _COUNT = ctypes.POINTER(ctypes.c_int64)
 class _MethodFunctions:
     """The methods of a driver in Python as functions that machine code calls by their addresses.
 
-    An exception becomes an error code, the number of its function, which ``explain`` turns into the exception again.
+    An exception becomes an error code, the number of the function in which it was raised; ``explain`` returns the
+    exception for this code.
     """
 
     def __init__(self, device: Device):
         self._device = device
         self._errors: dict[int, DriverError] = {}
         can = device.capabilities
-        #: kept here, because an address does not keep its function alive
+        #: kept here, because the address of a function does not keep the function alive
         self._kept = [
             self._function(1, self._read, _NUMBERS),
             self._function(2, self._write, _NUMBERS),
@@ -396,7 +398,7 @@ class _MethodFunctions:
 
 
 def _as_driver_error(error: Exception) -> DriverError:
-    """Return the error of a driver as one that names what to do."""
+    """Return the error of a driver as a DriverError that states what to do."""
     if isinstance(error, DriverError):
         return error
     return DriverError(f"{type(error).__name__}:", str(error), "check the device, its connection and its driver")

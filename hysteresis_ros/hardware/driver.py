@@ -10,8 +10,9 @@
 """The contract of a driver: five methods between an axis and a device, the declaration, and helpers for drivers.
 
 The package sets the sample times. In each sample it reads the positions and, when the sample is over, writes the
-voltages, which are held until the next sample. It supervises both (:mod:`hysteresis_ros.loop.device`) and never calls
-two methods at the same time. A method must return within a small fraction of a sample.
+voltages, which are held until the next sample. The package supervises reading and writing
+(:mod:`hysteresis_ros.loop.device`), and never calls two methods at the same time. A method must return within a small
+fraction of a sample.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ class Capabilities:
     voltages : int
         Number of voltages that it outputs; an axis uses the first ones.
     minimum, maximum : float
-        Range of its output [voltage_unit].
+        Range of the device's output [voltage_unit].
     highest_rate : float
-        Highest rate at which it can be read and written [Hz].
+        Highest rate at which the device can be read and written [Hz].
     watchdog : float or None
         Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: it has
         no watchdog.
@@ -72,16 +73,17 @@ class Capabilities:
         follows a device, so it refuses such a device.
     position_unit, voltage_unit : str
         Units of the readings and of the output. Units other than ``m`` and ``V`` are converted by the parameters
-        ``calibration`` of the plant's node, which must name them.
+        ``calibration`` of the plant's node, and these parameters must name the units.
     forces : int
-        Number of forces [N] that it reads in addition to the positions: for an axis 1 (the force in the stack) or 0.
+        Number of forces [N] that the device reads in addition to the positions; for an axis 1 (the force in the stack)
+        or 0.
     clock : bool
         Whether it outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
     trigger_rate : float
         Highest rate of triggers that it outputs [Hz]; 0: it has no output for triggers.
     compares : bool
-        Whether it outputs triggers by comparing positions itself (:meth:`Driver.compare`); otherwise the loop asks for
-        each of them (:meth:`Driver.output_trigger`).
+        Whether the device outputs triggers by comparing positions itself (:meth:`Driver.compare`); otherwise the loop
+        requests each trigger (:meth:`Driver.output_trigger`).
     trigger_input : bool
         Whether it has a trigger input (:meth:`Driver.pulses`).
     """
@@ -124,7 +126,7 @@ class Compiled(NamedTuple):
     pulses: int = 0
     #: Time after which a function that does not return ends the run [s].
     patience: float = 0.5
-    #: Whether the functions call methods in Python, for which they wait for its interpreter lock.
+    #: Whether the functions call methods in Python, so that they have to wait for the interpreter lock.
     calls_python: bool = False
 
 
@@ -223,9 +225,9 @@ class Driver(ABC):
         Parameters
         ----------
         number : int
-            Number of the trigger, from 1; a gap: triggers that followed each other too fast.
+            Number of the trigger, from 1; numbers are missing if triggers followed each other too fast.
         delay : float
-            Time from the trigger to the sample [s], for a device that corrects it.
+            Time from the trigger to the sample [s], for a device that corrects for this time.
 
         Raises
         ------
@@ -237,8 +239,9 @@ class Driver(ABC):
     def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
         """Output a trigger at each of these positions; optional.
 
-        The device does so from the next :meth:`write` on, until :meth:`make_safe`, and measures by itself. This method
-        is called once after :meth:`open`, only for a device with ``compares`` in its capabilities.
+        The device outputs triggers from the next :meth:`write` on, until :meth:`make_safe`, and measures the position
+        by itself. This method is called once after :meth:`open`, only for a device with ``compares`` in its
+        capabilities.
 
         Parameters
         ----------
@@ -274,7 +277,7 @@ class Driver(ABC):
         """
         return None
 
-    #: Last voltage sent to the device [voltage_unit], when it can differ from the last written voltage.
+    #: Last voltage sent to the device [voltage_unit], if this can differ from the last written voltage.
     last_output: float | None = None
 
     @abstractmethod
@@ -325,11 +328,13 @@ class HardwareDriver:
     driver : type of Driver
         Class of the driver; its constructor has no arguments.
     emulator : callable, optional
-        ``emulator()`` returns a context manager that emulates the device and gives the parameters to open it with. The
-        contract test needs it, and tests of the driver without the device. Only a library given by its path has none.
-        :func:`hysteresis_ros.registry.later` imports its module only when it is called.
+        ``emulator()`` returns a context manager that emulates the device and gives the parameters with which to open
+        it. It is needed by the contract test, and by tests of the driver without the device. Only a library given by
+        its path has no emulator. :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is
+        called.
     device : EmulatedDevice or str, optional
-        The emulated device that runs as a separate process, or its dotted path ``package.module:DEVICE``.
+        The emulated device that runs as a separate process, or the dotted path ``package.module:DEVICE`` of its
+        declaration.
     package : str
         Additional module that the driver needs, installed by the extra with the driver's name; '': none.
     """
@@ -344,14 +349,14 @@ class HardwareDriver:
 
     @property
     def emulated(self) -> EmulatedDevice | None:
-        """The emulated device, imported when only its path is given."""
+        """The emulated device; it is imported if only its path is given."""
         return resolved(self.device) if isinstance(self.device, str) else self.device
 
 
 #: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, the fraction of them that must be fast enough at the highest rate, and the fraction of a
-#: sample period that a driver may use.
+#: Number of trial samples, the fraction of these samples that must be fast enough at the highest rate, and the fraction
+#: of a sample period that a driver may use.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 

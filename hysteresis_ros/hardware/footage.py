@@ -25,7 +25,7 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Smallest ratio of a motion to the uncertainty of a position, and smallest number of positions.
+#: Smallest ratio of a motion to the uncertainty of a position, and smallest number of positions, for a scale.
 CLEAR, LEAST_PLACES = 20.0, 3
 #: Least distance between two edges of a target [px].
 APART = 12
@@ -101,7 +101,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
 
 #: Suffixes of pictures.
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-#: Largest ratio of missing numbers to pictures at which numbers in the names count as frame numbers.
+#: Largest ratio of missing numbers to pictures up to which the numbers in the names are taken as frame numbers.
 GAPS = 10
 
 _NUMBER = re.compile(r"(\d+)\D*$")
@@ -214,7 +214,7 @@ def numbered(paths) -> list[tuple[int, pathlib.Path]]:
 
 
 def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] = lambda number: None) -> Recording:
-    """Return the displacements found in frames: ``measured`` [m], and the quality of each frame.
+    """Return the displacements that are found in frames, ``measured`` [m], and the quality of each frame.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] 
     Raises
     ------
     FrameError
-        No frame shows the tip; the message states why the first one does not.
+        No frame shows the tip; the message states why the first frame does not.
     """
     rows, reasons, first = [], Counter[str](), ""
     for number, grey in enumerate(frames):

@@ -11,9 +11,10 @@
 
 The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
 must belong to root, to the user of this process, or to the owner of this package (that user can change the package
-too), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all:
-only the owner of an entry can remove or rename it, and that owner is checked next. A group may write when it has no
-other members, such as the private group that many systems give each user. Access control lists are not checked.
+too), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all
+users: only the owner of an entry can remove or rename this entry, and the owner is checked in the next step. A group
+may have write permission if it has no other members, such as the private group that many systems give each user. Access
+control lists are not checked.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ FOLDERS = "HYSTERESIS_DRIVERS"
 def require_trusted(path: pathlib.Path) -> pathlib.Path:
     """Return the real path of an existing file, if no other user can change it.
 
-    DriverError: other users can change it or a folder on its path, or it is outside the folders of
+    DriverError: other users can change the file or a folder on its path, or it is outside the folders of
     ``HYSTERESIS_DRIVERS``; the message names the place, the user, and the remedy.
     """
     name = f"driver {path}"
@@ -86,7 +87,7 @@ def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
-    """Return which other user can change a file, a folder or a link, and the remedy; else empty texts."""
+    """Return which other user can change a file, a folder or a link, and the remedy; empty texts if none can."""
     found = place.lstat()
     if found.st_uid not in trusted:
         whose = f"{place} belongs to {_user(found.st_uid)}"
@@ -110,7 +111,7 @@ def _members(group: int) -> set[int]:
     users = pwd.getpwall()
     try:
         named = set(grp.getgrgid(group).gr_mem)
-    except KeyError:  # the group is not known on this machine, so it has no members
+    except KeyError:  # the group does not exist on this machine, so it has no members
         named = set()
     return {user.pw_uid for user in users if user.pw_gid == group or user.pw_name in named}
 
@@ -160,7 +161,8 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     Raises
     ------
     DriverError
-        There is no such library, another user could replace it, or functions are missing; the message names them.
+        There is no such library, another user could replace it, or functions are missing; the message names these
+        functions.
     """
     path = pathlib.Path(path).expanduser()
     name = f"library {path}"
@@ -210,7 +212,7 @@ def option_texts(parameters: Parameters) -> list[str]:
 class SharedLibrary(Driver):
     """A driver in C; each library has a subclass with its path.
 
-    Its functions are called through ctypes, which releases the lock of Python, or by their addresses.
+    The functions of the library are called through ctypes, which releases the lock of Python, or by their addresses.
     """
 
     #: The library.

@@ -38,7 +38,7 @@ _TRUTHS = {"true": True, "false": False}
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Compiles a file each time and ignores cached bytecode, because another user might have changed it."""
+    """Compiles a file each time and ignores cached bytecode, because another user might have changed the cache."""
 
     def get_code(self, fullname: str):
         """Return the code of the file."""
@@ -76,7 +76,7 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
     if not path.is_file():
         raise DriverError(where, "does not exist", "give the path of a Python file that declares DRIVER")
     require_trusted(path)
-    # pickling, dataclasses and cached machine code look up their module by name, in other processes too
+    # pickling, dataclasses and cached machine code look up the module by its name, in other processes too
     name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
     specification: Any = importlib.util.spec_from_file_location(name, path, loader=_FromSource(name, str(path)))
     module = importlib.util.module_from_spec(specification)

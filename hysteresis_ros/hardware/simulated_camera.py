@@ -10,8 +10,8 @@
 """A camera that renders a frame of a simulated tip at each sample, and delivers it some frames later.
 
 A bright body with a straight edge moves along the rows of the frame in front of a dark background. The optics blur the
-edge, the light drifts, the sensor has noise and 8 bits. The camera serves to test trackers, and to close a loop through
-frames without a real camera.
+edge, the light drifts, the sensor has noise and 8 bits. With this camera trackers can be tested, and a loop can be
+closed through frames without a real camera.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Scene:
         self._grain = self._make_grain()
 
     def _make_grain(self) -> np.ndarray | None:
-        """Return the grain of the body behind its edge: wider than the frame, and smooth over two pixels."""
+        """Return the grain of the body's surface behind its edge: wider than the frame, and smooth over two pixels."""
         given = self.parameters
         if not given.texture:
             return None
@@ -150,7 +150,7 @@ class Scene:
         return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
 
     def _covered(self, inside: np.ndarray) -> np.ndarray:
-        """Return the fraction of a pixel's light that comes from the body, for a distance ``inside`` its edge [px]."""
+        """Return the fraction of a pixel's light that comes from the body, ``inside`` [px] being within the body's edge."""
         # a pixel collects light over its width, so this is the integral of the blurred edge
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 
@@ -195,7 +195,7 @@ class SimulatedCamera:
         self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
 
     def take(self, displacement: float) -> np.ndarray:
-        """Take a frame of the tip and return the frame that arrives now; at the beginning it is the first frame.
+        """Take a frame of the tip and return the frame that arrives now; at the beginning this is the first frame.
 
         Parameters
         ----------

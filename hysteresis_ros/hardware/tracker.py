@@ -7,20 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Displacement from images, frame by frame: the position of the tip and its uncertainty, or why a frame is refused.
+"""Displacement from images: for each frame the position of the tip and its uncertainty, or why the frame is refused.
 
 Pixels are converted to grey levels. The position of an edge, or the motion of a pattern, is found to about a hundredth
 of a pixel.
 
-For each row that crosses the edge, the sum of its normalised grey levels gives the number of pixels on one side of the
-edge; a symmetric blur does not change it. A line through all rows except outliers gives position, tilt and
-uncertainty. The blur follows from the grey levels of all pixels against their distance from this line, as in the
-slanted-edge method of ISO 12233.
+For each row that crosses the edge, the sum of the row's normalised grey levels gives the number of pixels on one side
+of the edge; a symmetric blur does not change this sum. A line through all rows except outliers gives position, tilt and
+uncertainty. The blur is determined from the grey levels of all pixels as a function of their distance from this line,
+as in the slanted-edge method of ISO 12233.
 
-For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane whose slopes are the
+For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane, and its slopes are the
 displacement (H. S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for
-subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted where
-there is light, at the lower frequencies, which noise and aliasing do not affect.
+subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted at the lower frequencies, which noise and aliasing hardly affect, weighted by the magnitude of the cross-spectrum.
 """
 
 from __future__ import annotations
@@ -124,7 +123,7 @@ LEAST_ROWS = 0.5
 OUTLIER, EDGE_LOOKS = 4.0, 3
 #: Bins per pixel of the profile across the edge.
 BINS = 4
-#: The points at 16 % and 84 % of a step blurred by a Gaussian are two standard deviations apart.
+#: The points at 16 % and 84 % of the height of a step blurred by a Gaussian are two standard deviations apart.
 LOW_PART, HIGH_PART = 0.158655, 0.841345
 
 
@@ -138,7 +137,7 @@ class Place(NamedTuple):
     #: Contrast of the edge in grey levels (at most 255); for a pattern its correlation with the first frame (at most
     #: 1).
     contrast: float
-    #: Standard deviation of the blur [px]; NaN where it is not known.
+    #: Standard deviation of the blur [px]; NaN if it is not known.
     blur: float
     #: Why the position was not found; empty if it was.
     refusal: str = ""
@@ -224,7 +223,7 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
     means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)
     change = np.abs(means[:, LAG:] - means[:, :-LAG])
     column = np.argmax(change, axis=1)
-    # only a part of the step of a blurred edge lies between the two compared columns
+    # of a blurred edge, only a part of the step lies between the two compared columns
     strong = change[np.arange(blocks), column] >= 0.25 * smallest_contrast
     if np.count_nonzero(strong) < max(LEAST_ROWS * blocks, 2):
         return rows, None
@@ -255,7 +254,7 @@ def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np
 
 
 def _blur(distance: np.ndarray, part: np.ndarray) -> float:
-    """Return the blur [px], from the bright fraction of each pixel against its distance from the edge."""
+    """Return the blur [px], from the bright fraction of each pixel as a function of its distance from the edge."""
     bins = np.floor((distance - distance.min()) * BINS).astype(int).ravel()
     count = np.bincount(bins)
     mean = np.bincount(bins, weights=part.ravel()) / np.maximum(count, 1)
@@ -272,7 +271,7 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
 HIGHEST, FINE = 0.2, 0.08
 #: Largest remainder after the shift by whole pixels [px], and maximum number of searches for that shift.
 REST, PATTERN_LOOKS = 0.6, 6
-#: Fraction of the first frame's fine details below which a frame counts as blurred.
+#: A frame with less than this fraction of the fine details of the first frame counts as blurred.
 LEAST_DETAIL = 0.3
 
 LOST = "the pattern of the first frame is not found again"
@@ -493,7 +492,7 @@ class Tracker:
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:
-        """Return the displacement [m] (NaN: the frame is refused), and the position in the frame from which it follows.
+        """Return the displacement [m] (NaN: the frame is refused), and the position in the frame that gives it.
 
         Parameters
         ----------

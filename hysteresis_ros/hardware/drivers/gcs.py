@@ -120,11 +120,11 @@ def meaning(code: int) -> str:
 END, MORE = b"\n", b" \n"
 #: Maximum number of bytes per read.
 CHUNK = 65536
-#: Limits of an answer; a longer answer comes from another kind of device, or from a faulty one.
+#: Limits of the length of an answer; a longer answer comes from another kind of device, or from a faulty one.
 LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
 #: Maximum number of bytes of an answer that a message quotes.
 SHOWN = 60
-#: The query of the last error, and the pattern of its answer, which no other answer in a sample matches.
+#: The query of the last error, and the pattern of its answer; no other answer in a sample matches this pattern.
 ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
 
 
@@ -139,8 +139,9 @@ class GcsLink:
     """The connection to a controller: commands, answers and errors.
 
     Answers have no number that assigns them to queries. So no answer may be pending when a query is sent, each answer
-    must match its query, and each exchange ends with the answer to ``ERR?``, which has another form. A mismatch or a
-    missing answer breaks the link: after one extra line, each query would get the answer to the previous one.
+    must match its query, and each exchange ends with the answer to ``ERR?``, which has another form. After a mismatch
+    or a missing answer the link is not used any more: after one extra line, each query would get the answer to the
+    previous query.
 
     Parameters
     ----------
@@ -273,7 +274,7 @@ class GcsLink:
         self.send(asked, ERROR)
         lines = self._lines(asked)
         if CODE.fullmatch(lines[0]) and int(lines[0]) != NO_ERROR:
-            return None, int(lines[0])  # the query got no answer, so this is the answer to ERR?
+            return None, int(lines[0])  # the query got no answer, so this line is the answer to ERR?
         text = self._of_item(asked, item, lines)
         return text, self._code()
 
@@ -296,9 +297,9 @@ class GcsLink:
     def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
         """Return the numbers of several items in one exchange, and the code of the last error.
 
-        The answer to ``ERR?`` has no equals sign. Its query is sent alternately after and before a single item, and
-        both before and after several items. So neither an extra or missing line nor a repeated answer can shift a
-        number to another item.
+        The answer to ``ERR?`` has no equals sign. ``ERR?`` is sent alternately after and before the query of a single
+        item, and both before and after the queries of several items. So neither an extra or missing line nor a repeated
+        answer can shift a number to another item.
 
         Parameters
         ----------
@@ -418,7 +419,7 @@ class GcsLink:
             self._socket.close()
 
 
-#: Number of stored recent voltages; the output may still be at any of them when it is checked.
+#: Number of stored recent voltages; when the output is checked, it may still be at any of these voltages.
 RECENT = 4
 #: Points of a wave per command, and polling interval for its end [s].
 POINTS, PATIENCE = 40, 0.02
@@ -426,9 +427,9 @@ POINTS, PATIENCE = 40, 0.02
 ATTEMPTS = 3
 #: Largest relative deviation of positions from a grid.
 UNEVEN = 1.0e-6
-#: Relative difference from a commanded value that the controller's rounding may cause in its report.
+#: Relative difference between a commanded value and the reported one that rounding in the controller may cause.
 ROUNDING = 1.0e-3
-#: Longest allowed servo cycle, relative to the played period.
+#: Longest allowed servo cycle, relative to the period of the played voltages.
 LONGEST = 1.0e6
 
 
@@ -544,10 +545,10 @@ class GcsDriver(Driver):
     _link: GcsLink | None = None
     _given: GcsParameters
     _failed = False
-    #: Commands that make the controller compare positions; whether they are in effect.
+    #: Commands that make the controller compare positions, and whether these commands are in effect.
     _comparing: tuple[str, ...] = ()
     _compares = False
-    #: Last state of the trigger input, and pulses that were not fetched yet.
+    #: Last state of the trigger input, and number of pulses that were not fetched yet.
     _high = math.nan
     _pulses = 0
 
@@ -555,7 +556,7 @@ class GcsDriver(Driver):
         self._recent: deque[float] = deque(maxlen=RECENT)
 
     def open(self, parameters: GcsParameters, sample_rate: float) -> Capabilities:
-        """Connect, check the controller, bring it to its safe state and measure the highest rate.
+        """Connect, check the controller, bring it to its safe state, and measure the highest rate.
 
         Parameters
         ----------
@@ -694,7 +695,7 @@ class GcsDriver(Driver):
                 high, *others = others
                 self._pulses += high > self._high
                 self._high = high
-            if code != NO_ERROR and not due:  # first report a changed setting, because it explains the refused command
+            if code != NO_ERROR and not due:  # first report a changed setting: it explains the refused command
                 (others, _), due = link.numbers(*self._looks), True
             if due:
                 self._check(link, others, code)
@@ -808,7 +809,7 @@ class GcsDriver(Driver):
         Parameters
         ----------
         voltages : sequence of float
-            [V]; with the servo on, they represent its targets.
+            [V]; with the servo on, they represent the targets of the servo.
         period : float
             Time between two voltages [s], rounded to samples of the controller.
 

@@ -37,7 +37,7 @@ from hysteresis_ros.registry import later
 
 #: Volts per unit of scale.
 MILLIVOLT = 1.0e-3
-#: Largest plausible raw value, scale or offset; the smallest plausible one is the reciprocal of it.
+#: Largest plausible raw value, scale or offset; the smallest plausible value is the reciprocal.
 LARGEST = 1.0e20
 CHANNEL = re.compile(r"(alt)?voltage\d*")
 
@@ -133,7 +133,7 @@ class Channel:
     def attribute(self, name: str) -> str | None:
         """Return an attribute of the channel, or of all channels of its direction and kind; None if it does not exist.
 
-        Only the first line is read: in an ordinary file, the end of an older, longer content may follow.
+        Only the first line is read, because in an ordinary file the end of an older, longer content may follow it.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class Channel:
         write_number(path, value, self.name)
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
-        """Return the least and greatest voltage [V], from the raw range that the device or parameter file states.
+        """Return the least and greatest voltage [V], from the range of raw numbers in the device or the parameter file.
 
         Parameters
         ----------
@@ -409,7 +409,7 @@ class IioDriver(Driver):
         self._taken().put_out(voltages[0])
 
     def make_safe(self) -> None:
-        """Bring the DAC to its safe voltage, then switch it on if it was off.
+        """Bring the DAC to its safe voltage, then switch its output on if it was off.
 
         Raises
         ------

@@ -128,7 +128,7 @@ class Nv200Driver(Driver):
             return asyncio.run_coroutine_threadsafe(limited, self._loop).result()
         except TimeoutError as error:
             raise self._failed(f"does not answer when it {what}") from error
-        except Exception as error:  # the package raises any type
+        except Exception as error:  # the package may raise exceptions of any type
             raise self._failed(f"fails when it {what} ({type(error).__name__}: {error})") from error
 
     def _failed(self, problem: str) -> DriverError:
@@ -139,7 +139,7 @@ class Nv200Driver(Driver):
         if self._device is not None and self._loop is not None:
             device, self._device = self._device, None
             closing = asyncio.run_coroutine_threadsafe(device.close(), self._loop)
-            with contextlib.suppress(Exception):  # nothing can handle the error any more
+            with contextlib.suppress(Exception):  # no caller can handle the error any more
                 closing.result(self._given.timeout)
         if self._claimed is not None:
             os.close(self._claimed)
@@ -258,7 +258,7 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            It does not answer, or refuses.
+            The amplifier does not answer, or refuses a command.
         """
         if self._device is None:
             self._taken()

@@ -9,7 +9,7 @@
 
 """The simulated actuator as a driver, with the parameters of ``plant_simulator``.
 
-It is the same model as the plant without a driver, and serves to test what holds for any driver.
+It has the same model as the plant without a driver. Requirements on every driver can be tested with it.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class SimulatedDriver(Driver):
 
 @contextlib.contextmanager
 def emulator() -> Iterator[ActuatorParameters]:
-    """Give the parameters of an actuator of 0.1 µm/V; it needs no external device."""
+    """Give the parameters of an actuator of 0.1 µm/V; no emulated device is needed."""
     limits = {"limits.minimum": -30.0, "limits.maximum": 120.0}
     yield ActuatorParameters.from_mapping(
         {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 1.0e-7, **limits}
