@@ -19,7 +19,8 @@ as in the slanted-edge method of ISO 12233.
 
 For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane, and its slopes are the
 displacement (H. S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for
-subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted at the lower frequencies, which noise and aliasing hardly affect, weighted by the magnitude of the cross-spectrum.
+subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted at the
+lower frequencies, which noise and aliasing hardly affect, weighted by the magnitude of the cross-spectrum.
 """
 
 from __future__ import annotations
