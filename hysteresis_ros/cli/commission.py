@@ -19,7 +19,7 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Questions on a terminal for missing arguments: the option, the question, and an example.
+#: Questions that a terminal asks for missing arguments: the option, the question, and an example.
 QUESTIONS = {
     "stroke": ("--stroke", "How far does the actuator move over its voltage range?", "100um"),
     "voltage": ("--voltage", "Which range of voltage may be applied?", "0:100V"),
@@ -104,7 +104,7 @@ def new(file, axes, driver, options, plant, joint, **given):
 
 
 def _for_each(names: list[str], option: str, text: str) -> list[str]:
-    """Return the text of an option for each axis: one for all, or one for each, separated by commas."""
+    """Return the text of an option for each axis; it has one text for all, or one for each, separated by commas."""
     from hysteresis_ros.errors import ConfigurationError
 
     texts = text.split(",") if len(names) > 1 else [text]
@@ -118,7 +118,7 @@ def _for_each(names: list[str], option: str, text: str) -> list[str]:
 
 #: Exit code when the error of the scan is much larger than predicted; the files are written nevertheless.
 UNPREDICTED = 4
-#: Maximum interval between two progress messages [s], short because a stage only takes some seconds.
+#: Maximum interval between two progress messages [s]; short, because a stage takes only some seconds.
 SILENCE = 5.0
 
 

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Settings of this machine that delay a loop: the state of each setting, its cost, and the command that changes it.
+"""Settings of this machine that delay a loop: the state of each setting, the delay it costs, the command to change it.
 
-The cost is measured with the fused loop at :data:`RATE`, a rate at which a short run shows it.
+The cost is measured with the fused loop at :data:`RATE`, a rate at which a short run shows the delay.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hysteresis_ros.loop.pacing import Lateness
 
 #: Rate of the loop [Hz], and duration of a run [s].
 RATE, SECONDS = 3e3, 0.5
-#: Rate [Hz] and duration [s] of the run that uses a core all the time; it is longer than the period of the throttling.
+#: Rate [Hz] and duration [s] of the run that uses a core all the time; the run is longer than a period of throttling.
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
 #: Largest number of cores for individual measurements.
 MOST_CORES = 4
@@ -49,9 +49,9 @@ class Delay:
     """One setting of the machine."""
 
     name: str
-    state: str  #: Its present value.
-    cost: str  #: Its cost, as measured on this machine, or :data:`NOT_MEASURED` with the reason.
-    change: str  #: The command that changes it; empty if no change is needed.
+    state: str  #: Present value of the setting.
+    cost: str  #: Cost of the setting, as measured on this machine, or :data:`NOT_MEASURED` with the reason.
+    change: str  #: The command that changes the setting; empty if no change is needed.
 
 
 def _text(path: pathlib.Path) -> str:
@@ -90,7 +90,7 @@ def _interrupts() -> dict[int, int]:
 
 
 def delays(run: Run) -> Iterator[Delay]:
-    """Yield all settings, each as soon as it is measured."""
+    """Yield all settings, each as soon as its cost is measured."""
     yield _looking(run)
     by_core, rates = _by_core(run)
     yield _isolated(by_core)
@@ -113,7 +113,7 @@ def _looking(run: Run) -> Delay:
 
 
 def _by_core(run: Run) -> tuple[dict[int, Lateness], dict[int, float]]:
-    """Return the lateness on each core, and the interrupts per second of the core during that run."""
+    """Return the lateness of a run on each core, and the interrupts per second of this core during the run."""
     by_core, rates = {}, {}
     for core in _usable()[:MOST_CORES]:
         before = _interrupts().get(core)

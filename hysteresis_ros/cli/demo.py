@@ -26,16 +26,16 @@ from hysteresis_ros.cli.progress import Progress
 
 #: Time [s of axis time] and setpoint [m] of each message: the paper's step of 1 V, then several steps over the stroke.
 SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85, 3.0e-6), (1.05, 0.0))
-#: Frequency [Hz], stroke [m] and number of the triangles.
+#: Frequency [Hz], peak-to-peak displacement [m] and number of the triangles.
 TRIANGLES = 1.0, 1.0e-5, 2
-#: Length of the run in lockstep [s of axis time], which is only the beginning of the triangles.
+#: Length of the run in lockstep [s of axis time]: only the beginning of the triangles.
 LOCKSTEP = 0.75
 #: Hold time of the last setpoint [s of axis time], and the time-out for all setpoints [s].
 HELD, PATIENCE = 0.2, 60.0
 
 #: Minimum interval of progress messages in a file or pipe [s].
 SILENCE = 10.0
-#: Length of the steps without compiled kernels [s of axis time].
+#: Length of the run with steps if there are no compiled kernels [s of axis time].
 INTERPRETED = 2.4
 
 #: Folders of the recordings.
@@ -89,7 +89,7 @@ def _axes(factor: float) -> dict:
     from hysteresis_ros.models.block import COMPILED
 
     configuration = load_configuration(config_path("kim2009"))
-    # without compiled kernels no loop is fast enough, so the nodes run in lockstep, as fast as they can
+    # without compiled kernels no loop is fast enough for real time, so the nodes run in lockstep, as fast as they can
     configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
     # the machine may be busy: skipped samples are counted and reported, but do not stop a simulated axis
     configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
@@ -117,7 +117,7 @@ def _axis(configuration, name: str, duration: float | None = None):
 
 
 def _compile(axes, progress: Progress) -> None:
-    """Compile the loops once, so that the processes find the code in the cache."""
+    """Compile the loops once, so that the processes find the machine code in the cache."""
     from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
@@ -182,7 +182,7 @@ def _publisher_command(namespace: str) -> list[str]:
 
 
 def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
-    """Run the triangle as four processes in lockstep, and compare all runs with their offline twins."""
+    """Run the triangle with four processes in lockstep, and compare all runs with their offline twins."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph
 

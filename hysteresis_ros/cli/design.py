@@ -282,7 +282,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
 
 
 def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
-    """Return the configuration whose file has the scan, for which controllers or learning are designed."""
+    """Return the configuration with the scan in its file, for which controllers or learning are designed."""
     from hysteresis_ros.designs.coupled import with_written_scan
     from hysteresis_ros.designs.coupled_learning import FEWEST
     from hysteresis_ros.errors import ConfigurationError
@@ -342,7 +342,7 @@ def _design_stage_feedforward(configuration, output: str | None, options: dict) 
 
 
 def _learn_together(configuration, request, runs, output: str) -> None:
-    """Learn corrections for all axes of a stage from recorded runs; write them and the file that applies them."""
+    """Learn corrections for all axes of a stage from recorded runs; write them and the stage file that uses them."""
     from hysteresis_ros.control.learning import write_learned
     from hysteresis_ros.designs.coupled_learning import coupled_learning_file, learned_from, trial_lines
     from hysteresis_ros.errors import ConfigurationError
@@ -354,7 +354,8 @@ def _learn_together(configuration, request, runs, output: str) -> None:
         recordings = [load_run(path) for path in runs]
         learning, corrections, trials = learned_from(configuration, request, recordings)
         files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in learning.parameters.names}
-        # the next learning needs the corrections of the earlier runs, so their files must not be replaced
+        # the next design needs the corrections of the earlier runs, so the files of these corrections must not be
+        # replaced
         for path, recording in zip(runs, recordings, strict=True):
             if any(file in recording.metadata["configuration"] for file in files.values()):
                 raise ConfigurationError(

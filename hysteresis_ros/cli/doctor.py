@@ -43,13 +43,13 @@ LIBRARIES = {
     "jinja2": "report",
     "rich": "progress",
 }
-#: Modules of the libraries that ROS 2 from apt also provides.
+#: Modules of those libraries that a ROS 2 installation from apt provides too.
 MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}
 #: Priority that a fused loop requests by default.
 PRIORITY = 80
 #: Longest wait for the name of the middleware [s].
 PATIENCE = 10.0
-#: Asks rclpy in a separate process, because only nodes import it.
+#: Program that asks rclpy for the middleware; it runs in a separate process, because only nodes import rclpy.
 ASK_MIDDLEWARE = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
 
 
@@ -159,8 +159,8 @@ COMPOSED, PROCESSES = 1000, 600
 MESSAGE_RATE, ANSWERED = 300.0, 300
 #: Fraction of skipped samples above which no higher rate is tested.
 HOPELESS = 0.1
-#: Time after which no further measurement of nodes starts [s]; the first run of a version takes long, because it
-#: compiles.
+#: Time after which no further measurement of nodes starts [s]; the first run of a version takes long, because kernels
+#: are compiled.
 BUDGET = 35.0
 
 
@@ -254,7 +254,7 @@ def _fused(progress: Progress) -> list[dict]:
                 made.append(_trial(rate, priority))
             progress.say(_row(made[-1]))
             if made[-1]["warning"]:
-                break  # the priority was not granted, and the round with normal priority measures the same
+                break  # the priority was not granted; the round with normal priority would measure the same again
             if made[-1]["skipped"] > HOPELESS * made[-1]["samples"]:
                 break
         held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)

@@ -21,8 +21,8 @@ from hysteresis_ros.cli.interrupt import INTERRUPTED, WORDS
 
 #: Time after which a lost interrupt is repeated [s].
 AGAIN = 0.05
-#: Linear algebra uses one thread unless these variables are set. Its arrays are small, and several threads made an
-#: identification on a busy machine three times as long (measured).
+#: Linear algebra uses one thread unless these variables are set. The arrays are small, and with several threads an
+#: identification on a busy machine took three times as long (measured).
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -48,7 +48,7 @@ def main() -> None:
 
         command(prog_name="hysteresis")
     except (KeyboardInterrupt, Exception) as error:
-        # after an interrupt that was lost in a callback, the compiler fails with an error of its own
+        # after an interrupt that was lost in one of its callbacks, the compiler fails with another error
         if not dropped and not isinstance(error, KeyboardInterrupt):
             raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)

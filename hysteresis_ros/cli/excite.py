@@ -236,7 +236,7 @@ def _stages(axis, length: float):
     needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
-        # an upper bound, because the nodes have to start first; how long this takes is not known
+        # an upper bound of the fraction: the nodes have to start first, and how long this takes is not known
         passed = time.monotonic() - begun
         return None if needed is None or passed > needed else passed / needed
 

@@ -20,7 +20,7 @@ from hysteresis_ros.cli.progress import Progress
 
 #: Suffixes of recordings; a folder is a bag.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
-#: Options with units: the unit, and the argument of the experiment.
+#: Options with units: the unit, and the name of the option as an argument of the experiment.
 WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 
 
@@ -168,13 +168,13 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
         if _of_stage_whole(path, namespace):
             return _of_stage_recording(path, plan, period, options)
         run = load_run(path, namespace, further=True)
-        # a table from another program may have only the required columns
+        # a table from another program may have no other columns than the required ones
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
         return recorded_response(run, plan, options["loop"], options["at"], period, options["kind"])
 
 
 def _of_stage_whole(path: pathlib.Path, namespace) -> bool:
-    """Return whether the response matrix of a stage is wanted; refuse one axis of it if others move it too."""
+    """Return whether the response matrix of a stage is wanted; refuse a single axis if other axes move it too."""
     import numpy as np
 
     from hysteresis_ros.errors import ConfigurationError, RecordingError

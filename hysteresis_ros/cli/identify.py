@@ -27,7 +27,7 @@ NOT_CONVERGED = 3
 UNFIT = 4
 #: Figures that the table shows first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
-#: Number of reports after which the bar of a fit is half full.
+#: Number of reports of a fit after which its progress bar is half full.
 UNKNOWN = 60.0
 
 

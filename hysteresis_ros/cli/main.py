@@ -154,7 +154,7 @@ class LazyGroup(click.Group):
         return getattr(importlib.import_module(module), attribute)
 
     def format_commands(self, ctx, formatter) -> None:
-        """Write the subcommands in groups, without importing them."""
+        """Write the subcommands in groups, without importing their modules."""
         for title, commands in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name.ljust(10), line) for name, (_, line) in commands.items()])
@@ -202,7 +202,7 @@ class LazyGroup(click.Group):
         except OSError as error:
             if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
                 raise
-            # if a name is too long every access fails, even the test whether the file exists
+            # if the name of a file is too long, every access fails, even the test whether the file exists
             _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
             _refuse(f"not enough memory: {error or 'too many samples'}; choose a shorter run", 2)

@@ -47,7 +47,7 @@ class ConfigurationName(click.ParamType):
 
 
 class Quantity(click.ParamType):
-    """A number with its unit, such as ``2nm``, ``100Hz``, ``0.5s``; its value is in SI. A length needs its unit."""
+    """A number with its unit, such as ``2nm``, ``100Hz``, ``0.5s``; the value is in SI. A length needs its unit."""
 
     def __init__(self, unit: str):
         self.unit = unit
@@ -64,7 +64,7 @@ class Quantity(click.ParamType):
 
 
 class RunFile(click.ParamType):
-    """A file for a run; a suffix that no format has is refused before the run is made."""
+    """A file for a run; an unknown suffix is refused before the run begins."""
 
     name = "file"
 
@@ -153,7 +153,7 @@ ENDINGS = {"_m_per_s": "m/s", "_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_pe
 
 
 def data_options(command):
-    """Add the options for data to a command, which gets them as keyword arguments."""
+    """Add the options for data to a command; the command gets them as keyword arguments."""
     for option in reversed(
         (
             click.option(
@@ -233,7 +233,7 @@ def read(path, *, input_, output_, range_, resample, **columns):
 
 
 def _one(option: str, given: tuple[str, ...]) -> str | None:
-    """Return the given column, or None if there is no column; refuse several columns."""
+    """Return the given column, or None if no column is given; refuse several columns."""
     if len(given) > 1:
         raise click.UsageError(f"{option} {' '.join(given)}: this command takes one column; name one")
     return given[0] if given else None
@@ -263,7 +263,7 @@ def _seconds(text: str):
 
 
 def write_json(figures: dict, path: str | None, table: str) -> None:
-    """Print the table, or for ``-`` the figures as JSON; if a file is named, also write the figures to it."""
+    """Print the table, or for ``-`` the figures as JSON; if a file is named, also write the figures to this file."""
     import json
 
     from hysteresis_ros.errors import RecordingError
@@ -346,9 +346,9 @@ class AskedReference:
             return asked_waveform(str(self.kind), self.given, gain)
 
     def put_into(self, configuration, namespace: str | None = None):
-        """Return a configuration whose axes follow the waveform; without a waveform option it is unchanged.
+        """Return a configuration in which the axes follow the waveform; unchanged without a waveform option.
 
-        In a stage, only the axis in ``namespace`` follows it, if a namespace is given.
+        In a stage, only the axis in ``namespace`` follows the waveform, if a namespace is given.
         """
         from hysteresis_ros.errors import ConfigurationError
         from hysteresis_ros.references.scans import SCANS
@@ -379,7 +379,7 @@ class AskedReference:
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
-        """Raise a problem of the waveform again, with the name of its option and the text of the command line."""
+        """Raise a problem of the waveform again, with the name of the option and the text of the command line."""
         from hysteresis_ros.errors import ParameterError
 
         try:
@@ -404,12 +404,12 @@ class AskedReference:
 
 
 def _option(name: str) -> str:
-    """Return the option that takes a parameter."""
+    """Return the option that sets a parameter."""
     return next((option for option, parameter in PARAMETERS.items() if parameter == name), f"--waveform {name}")
 
 
 def reference_options(command):
-    """Add the options for a waveform to a command, which gets them as ``reference``, an :class:`AskedReference`."""
+    """Add the options for a waveform to a command, as its argument ``reference``, an :class:`AskedReference`."""
 
     @functools.wraps(command)
     def with_reference(reference, further, **words):
@@ -447,7 +447,7 @@ def reference_options(command):
 
 
 def scan_options(command):
-    """Add the option and the values of a scan to a command, which gets them as ``scan`` and ``values``."""
+    """Add the option and the values of a scan to a command; the command gets them as ``scan`` and ``values``."""
     text = "Scan that a stage follows; NAME=VALUE are its parameters, see `hysteresis scan`."
     return click.argument("values", nargs=-1, metavar="[NAME=VALUE]...")(
         click.option("--scan", metavar="KIND", help=text)(command)
@@ -455,7 +455,7 @@ def scan_options(command):
 
 
 def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
-    """Refuse values of a scan where no scan was chosen; ``remedy`` is for parameters of nodes, a usual mistake."""
+    """Refuse values of a scan if no scan was chosen; ``remedy`` is for parameters of nodes, a frequent mistake."""
     if values and "=" in values[0]:
         raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster{remedy}")
     if values:
@@ -475,7 +475,7 @@ def scanning(configuration, scan: str | None, values: tuple[str, ...], reference
 
 
 def trigger_option(command):
-    """Add the option for triggers to a command, which gets a list of texts ``NAME=VALUE`` as ``triggers``."""
+    """Add the option for triggers to a command; the command gets a list of texts ``NAME=VALUE`` as ``triggers``."""
     text = (
         "Trigger at positions or times: start=2um, step=0.5um, stop=8um, positions=2um,3um, direction=up, times=0.1s, "
         "each=line …; repeatable, see docs/triggers.md."
@@ -486,8 +486,8 @@ def trigger_option(command):
 def triggering(configuration, triggers: tuple[str, ...], namespace: str | None = None):
     """Return a configuration with the triggers that the texts describe.
 
-    In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all, or by ``each`` those
-    that follow the scan, whose clock then has this level.
+    In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all axes do. With triggers
+    by ``each``, only axes that follow the scan trigger, and the clock of the scan then has the level of ``each``.
     """
     from hysteresis_ros.references.scans import parsed_values
     from hysteresis_ros.references.triggers import TriggerParameters

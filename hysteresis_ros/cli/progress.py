@@ -22,7 +22,7 @@ import click
 
 #: Maximum interval of progress messages on a terminal [s].
 SILENCE = 1.5
-#: Maximum interval of progress messages in files and pipes [s], where each interval is twice the previous interval.
+#: Maximum interval of progress messages in files and pipes [s]; up to it each interval is twice the previous one.
 LONGEST_SILENCE = 60.0
 #: Time after which a bar is shown, and its update interval [s].
 SHORT, LOOK = 0.5, 0.1
@@ -44,7 +44,7 @@ def _bar(err: bool) -> Any:
 
 
 def shown(what: str) -> contextlib.AbstractContextManager[None]:
-    """Show a bar during an operation that is usually short, on terminals only; callers print results afterwards."""
+    """Show a bar, on terminals only, during an operation that is usually short; callers print results afterwards."""
     return Progress(err=True, bars_only=True).during(what)
 
 

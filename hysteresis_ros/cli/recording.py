@@ -130,7 +130,7 @@ def _bounds(range_: str | None, skip: str | None) -> tuple[float, float]:
 
 
 def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
-    """Return the part of a run to evaluate; the error names the run that does not contain it."""
+    """Return the part of a run to evaluate; the error names the run if it does not contain this part."""
     from hysteresis_ros.analysis import parts
     from hysteresis_ros.errors import RecordingError
 
@@ -183,11 +183,11 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
 
 
 def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
-    """Return one line: what a recording lacks, or else its differences from its twin; empty when equal."""
+    """Return a line: samples that a recording lacks, or else its differences from its twin; empty if both are equal."""
     missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
     parts = [f"{missing} samples"] * bool(missing) + [f"{lacking} entries of the change log"] * bool(lacking)
     if parts:
-        # the samples after a gap are not at their places, so differences from the twin would say nothing about the loop
+        # samples after a gap are at wrong places, so differences from the twin would not be differences of the loop
         return f"{name} lacks {' and '.join(parts)}, so it cannot be compared with the offline twin"
     if not found:
         return ""

@@ -60,7 +60,7 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     require_ros()
     # a separate process, because the pip wheels of ROS restart the interpreter on import
     words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
-    # in a separate session, so that Ctrl-C in a terminal reaches only this process, which then ends the other one
+    # in a separate session, so that Ctrl-C in a terminal reaches only this process, which then ends the other process
     guard = partial(die_with_parent, os.getpid())
     child = subprocess.run(words, env=node_environment(), start_new_session=True, preexec_fn=guard)
     raise SystemExit(child.returncode)

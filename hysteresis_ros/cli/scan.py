@@ -123,7 +123,7 @@ def _require_places(output: pathlib.Path | None, plot: pathlib.Path | None, rate
 
 
 def _figures(kind: str, made, found, best: float) -> dict[str, Any]:
-    """Return the figures, in SI; None for a figure that this kind of scan lacks, or that is unlimited."""
+    """Return the figures, in SI; None for a figure that this kind of scan does not have, or that is unlimited."""
     from hysteresis_ros.references.scan import AXES
 
     low, high = made.extent()

@@ -258,13 +258,13 @@ def _say_limited(graph) -> None:
         try:
             limited = limited_text(read_recording(bag, axis.namespace, further=True))
         except HysteresisError:
-            continue  # errors of the bag are reported below or by its reader
+            continue  # errors of the bag are reported below, or by the reader of the bag
         if limited:
             click.echo(f"hysteresis: warning: {axis.namespace}{': ' if axis.namespace else ''}{limited}", err=True)
 
 
 def _say_recorded(graph) -> None:
-    """Print the bags. A bag whose recorder died or ran out of disk space is incomplete, which is an error."""
+    """Print the bags. A bag is incomplete if its recorder died or ran out of disk space; this is an error."""
     short = "; it ends before the run; if the bag was cut off, use hysteresis repair" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")

@@ -42,14 +42,14 @@ TRIPPED = {
 }
 #: Largest fraction of the samples that may lack a measurement.
 MOST_MISSING = 0.05
-#: Signals that every stage of the commissioning needs, and further signals that only a closed loop has.
+#: Signals that every stage of the commissioning needs, and further signals that only a run in closed loop has.
 JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "applied", "seen", "skipped")
 #: Relative difference up to which sample intervals count as equal.
 IRREGULAR = 0.01
 
 
 class Bench(ABC):
-    """Runs an axis or coupled axes for each stage of a commissioning; each run begins and ends in the safe state."""
+    """Runs an axis, or coupled axes, for each stage of a commissioning; each run begins and ends in the safe state."""
 
     @abstractmethod
     def run(self, axis: AxisParameters | StageParameters) -> Recording:
@@ -90,7 +90,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
         return Recording.of_axes(sound, recording.metadata)
     if recording.has("tripped"):
         codes = recording["tripped"]
-        stopped = np.flatnonzero(codes > 0.0)  # codes below zero: the sensor is being homed
+        stopped = np.flatnonzero(codes > 0.0)  # codes below 0 mean that the sensor is being homed
         if stopped.size:
             first = stopped[0]
             why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
@@ -133,7 +133,7 @@ def held_back(recording: Recording, effect: str = "increases the error during mo
 
 
 class GraphBench(Bench):
-    """Runs the nodes of an axis in real time, fused if messages are too slow."""
+    """Runs the nodes of an axis in real time; the axis is fused if messages are too slow."""
 
     def __init__(self, external: bool):
         require_ros()

@@ -78,7 +78,7 @@ def _reach(situation: Situation, configuration: Configuration) -> tuple[float, f
 
 
 def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
-    """Return the scan [m]: the ramp to its low end, the triangles, and the ramp back to rest."""
+    """Return the scan [m]: the ramp to the low end of the triangles, the triangles, and the ramp back to rest."""
     begin, size = _scanned(situation, configuration)
     low, high = _reach(situation, configuration)
     period, rate = scan_period(situation), situation.rate
@@ -123,7 +123,7 @@ def steps_reference(situation: Situation, configuration: Configuration) -> np.nd
 def closed_axis(
     situation: Situation, configuration: Configuration, stage: str, reference: np.ndarray
 ) -> AxisParameters:
-    """Return the designed axis that follows a reference once.
+    """Return the designed axis, which follows a reference once.
 
     Units: ``reference`` [m].
     """
@@ -264,7 +264,7 @@ def preload_offset(configuration: Configuration, namespace: str) -> float:
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
-#: Excitation: lines at multiples of 4 Hz, five realisations of three periods, of which the first is for settling.
+#: Excitation: lines at multiples of 4 Hz; five realisations of three periods each, the first of which is for settling.
 EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
 #: Largest M_s, relative to the predicted M_s.
 MARGIN_AS_PREDICTED = 1.25
@@ -306,7 +306,7 @@ def measured_plant(situation: Situation) -> MeasuredPlant | None:
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # both loops contain the same other elements, which cancel in the ratio
+    # all elements of the loops other than the plant are the same, and cancel in the ratio
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
@@ -317,7 +317,7 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     except (IdentificationError, RecordingError) as error:
         # no error, because later stages do not depend on this result
         return Outcome([f"margins not measured: {error}; `small` in /commissioning sets the amplitude"])
-    # these are not None, because the plan closes the loop and the axis is known
+    # the margins are not None, because the plan closes the loop and the axis is known
     known = found.loop, found.margins, found.model_loop
     loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
     peak, expected = loop.sensitivity_peak, margins.sensitivity_peak
@@ -353,18 +353,18 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Return which samples are events or follow an event within ``samples`` samples."""
+    """Return which samples are events, or follow an event within ``samples`` samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples
 
 
 def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[str, np.ndarray]:
-    """Return the samples that learning omits, by reason; the first reason of a sample counts.
+    """Return the samples that learning omits, by reason; a sample with several reasons is under the first of them.
 
     Units: ``rate`` [Hz].
     """
-    # the achieved command is known one sample later
+    # the achieved command of a sample is known one sample later
     shortfall = np.abs(signals["applied"] - signals["command"]) > parameters.shortfall
     shortfall = np.concatenate([[False], shortfall[:-1]])
     skipped = np.asarray(signals.get("skipped", np.zeros(len(shortfall)))) > 0.5
@@ -384,7 +384,7 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
 
 
 def learned_line(parameters: LearningParameters, rate: float, signals, begin: int, count: int) -> str:
-    """Return a sentence about the periods used for learning, and why others were omitted or used only in part.
+    """Return a sentence about the periods used for learning, and why other periods were omitted or used only in part.
 
     Units: ``rate`` [Hz].
     """
@@ -405,7 +405,7 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     )
 
 
-#: Largest number of learned periods, their longest total time [s], and the smallest number.
+#: Largest number of learned periods, longest total time of these periods [s], and smallest number of learned periods.
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
 #: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
@@ -421,7 +421,7 @@ def learning_periods(situation: Situation) -> int:
 def learn_axis(situation: Situation) -> AxisParameters | Outcome:
     """Return the axis that learns the scan, and write its file; or return why learning is not possible."""
     configuration, namespace = designed(situation), situation.axis.namespace
-    # a correction from an earlier attempt belongs to another loop
+    # a correction from an earlier attempt was learned with another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
         period = scan_period(situation) / situation.rate
@@ -455,7 +455,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     simulated = simulate(_learning_axis(situation, configuration))
     runs = {"measured": _period_errors(situation, recording), "predicted": _period_errors(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
-    # folders of earlier versions contain only the error against the delayed reference
+    # folders written by earlier versions contain only the error against the delayed reference
     before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
@@ -485,7 +485,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Return which periods are undisturbed: without a missed deadline in them or in the period before."""
+    """Return which periods are undisturbed, that is, without a missed deadline in them or in the previous period."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 

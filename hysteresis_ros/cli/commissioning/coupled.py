@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data that the stages of a commissioning of coupled axes share: a plan for each axis, and the runs of all of them."""
+"""Data that the stages of a commissioning of coupled axes share: a plan for each axis, and the runs of all axes."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, write_samples
 
-#: Files of coupled axes in the folder: the identified model with its controllers, which predicts each run.
+#: File of coupled axes in the folder: the identified model with its controllers; this stage predicts each run.
 DESIGNED = "designed.yaml"
 
 
 def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[str, Plan]:
-    """Return the plan of each axis: the section for all axes, and that in the namespace of the axis.
+    """Return the plan of each axis, from the section for all axes and the section in the namespace of the axis.
 
     By default the cycles are as fast as those of `hysteresis excite`. A range that the sections do not give must be
-    within the limits of the plant; one that they give replaces them, as for a single axis.
+    within the limits of the plant. A range that they give replaces these limits, as for a single axis.
     """
     found = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
@@ -67,7 +67,7 @@ def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[
 
 
 def within_plant(plan: Plan, axis: AxisParameters) -> bool:
-    """Return whether a plan is within the limits of the plant; otherwise it replaces them."""
+    """Return whether a plan is within the limits of the plant; otherwise the plan replaces these limits."""
     limits = axis.plant_simulator.limits
     return limits.minimum <= plan.minimum and plan.maximum <= limits.maximum
 
@@ -78,7 +78,7 @@ class StageSituation:
 
     configuration: Configuration  #: The parameter file.
     parameters: StageParameters
-    plans: Mapping[str, Plan]  #: By the names of the axes.
+    plans: Mapping[str, Plan]  #: Plans by the names of the axes.
     folder: Folder
     model: str  #: model, controller: Model of the hysteresis to identify, and controller to design.
     controller: str
@@ -114,17 +114,17 @@ class StageSituation:
         own = {stage: Outcome([], one.figures[name]) for stage, one in self.found.items() if name in one.figures}
         return Situation(
             self.configuration, self.parameters.axes[place], self.plans[name], self.folder, found=own
-        )  # the judges of a single axis need no more
+        )  # the checks of a single axis need no more
 
     def within(self) -> Configuration:
         """Return the configuration in the ranges of the plans, holding the middle of the motion that they allow.
 
-        An axis that leaves its range of motion by half a stroke is stopped, and with it all of them.
+        If an axis leaves its range of motion by half a stroke, all axes are stopped.
         """
         entries: list[tuple[str, dict]] = []
         for name, axis in zip(self.names, self.parameters.axes, strict=True):
             plan, given = self.plans[name], axis.hysteresis_compensator
-            # the limits of a new stage, which the plan exceeds, are those of manual commands
+            # a new file of a stage has the limits of manual commands, which the plan exceeds
             slew = plan.amplifier or (axis.plant_simulator.limits.slew_rate if within_plant(plan, axis) else 0.0)
             values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": slew}
             limits = replace(given.limits, minimum=plan.minimum, maximum=plan.maximum)
@@ -144,7 +144,7 @@ class StageSituation:
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 
     def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
-        """Return the stage that outputs voltages [V], shape (N, n), in open loop; its limits are just outside them."""
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop; its limits just contain them."""
         ranges = []
         for name, volts in zip(self.names, voltages.T, strict=True):
             plan = self.plans[name]
@@ -153,7 +153,7 @@ class StageSituation:
         return played_stage(self.within(), voltages, self.folder.path / "waveforms" / stage, ranges)
 
     def in_turn(self, voltages: Callable[[Plan, float, float], np.ndarray]) -> tuple[np.ndarray, dict[str, slice]]:
-        """Return voltages [V], shape (N, n), of one axis after the other, and the samples in which each one moves."""
+        """Return voltages [V], shape (N, n), of one axis after the other, and the samples in which each axis moves."""
         parts, spans, count = [], {}, 0
         for place, name in enumerate(self.names):
             own = voltages(self.plans[name], self.safe[place], self.rate)

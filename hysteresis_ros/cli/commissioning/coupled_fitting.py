@@ -39,10 +39,10 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
-#: Largest error of the model on the held-out data apart from its gain, as a fraction of the motion; largest factor
-#: between the gains, with which a design keeps its margins.
+#: Largest error of the model on the held-out data, apart from an error of its gain, as a fraction of the motion;
+#: largest factor between both gains with which a design keeps its margins.
 UNFIT, STEEPEST = 0.2, 2.0
-#: Largest error of the hysteresis on its loops, as a fraction of the stroke.
+#: Largest error of the hysteresis model on the recorded loops, as a fraction of the stroke.
 LOOSE = 0.05
 
 
@@ -142,7 +142,7 @@ def design_coupled(situation: StageSituation) -> Outcome:
 
 
 def closed_configuration(situation: StageSituation, watched: bool = True) -> Configuration:
-    """Return the stage of the file with the designed parameters; ``watched``: and commissioning's limits of travel."""
+    """Return the stage of the file with the designed parameters; ``watched``: with commissioning's travel limits."""
     designed = load_configuration(situation.folder.path / DESIGNED)
     into = situation.within()
     if not watched:
@@ -159,7 +159,7 @@ def _axes(situation: StageSituation):
 
 
 def commissioned_text(situation: StageSituation) -> str:
-    """Return the parameter file of the finished stage, with its limits, where they come from, and the plan."""
+    """Return the parameter file of the finished stage, with its limits, the origin of these limits, and the plan."""
     text = closed_configuration(situation, watched=False).text
     body = "".join(one for one in text.splitlines(keepends=True) if not one.startswith("#"))
     head = (

@@ -52,16 +52,16 @@ from hysteresis_ros.units import readable
 
 #: Largest motion of an axis that should hold its position, as a fraction of the step of the moving axis.
 DISTURBED = 0.25
-#: A motion below this fraction of the noise cannot be distinguished from it.
+#: A motion below this fraction of the noise cannot be distinguished from the noise.
 BURIED = 0.2
-#: Evaluated periods of the path of all axes together; the amplitude rises in one period before them and falls in one
-#: after.
+#: Evaluated periods of the path of all axes together; the amplitude rises in one period before these periods, and falls
+#: in one period after them.
 TOGETHER = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Excursion:
-    """References of all axes, and where one of them moves."""
+    """References of all axes, and the samples in which each axis moves."""
 
     references: np.ndarray  #: shape (N, n) [m]
     spans: dict[str, slice]  #: Samples in which each axis moves while the others hold.
@@ -73,7 +73,7 @@ class Range:
 
     low: float
     high: float
-    rest: float  #: Reference at the safe voltages; it may be outside the range.
+    rest: float  #: Reference at the safe voltages, which may be outside the range.
 
     @property
     def far(self) -> float:
@@ -107,7 +107,7 @@ def ranges(situation: StageSituation) -> dict[str, Range]:
 def in_turn(
     situation: StageSituation, base: Callable[[Range], float], own: Callable[[str, Range, float], np.ndarray]
 ) -> Excursion:
-    """Return the way of all axes to their bases, the own path of one after the other, and the way back."""
+    """Return references: all axes to their bases, then one after the other along its own path, then all back."""
     found, rate, spans = ranges(situation), situation.rate, {}
     places = {name: base(one) for name, one in found.items()}
 
@@ -141,7 +141,7 @@ def predicted(situation: StageSituation, stage: str, references: np.ndarray) -> 
 
 
 def errors_of(situation: StageSituation, recording: Recording) -> dict[str, np.ndarray]:
-    """Return for each axis the reference minus the measurement without the sensor's zero [m]."""
+    """Return, for each axis, the reference minus the measurement relative to the sensor's zero [m]."""
     parameters = StageParameters.from_configuration(designed(situation))
     found = {}
     for name, axis in zip(situation.names, parameters.axes, strict=True):
@@ -306,7 +306,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
 def together(situation: StageSituation) -> tuple[np.ndarray, slice]:
     """Return simultaneous sines with a different frequency on each axis, shape (N, n) [m], and the evaluated samples.
 
-    Frequencies are 1, 1.5, 2 … times that of the scan, so the path repeats after two of its periods.
+    Frequencies are 1, 1.5, 2 … times that of the scan, so the path repeats after two periods of the scan.
     """
     rate, period = situation.rate, 2 * scan_period(situation)
     index = np.arange((TOGETHER + 2) * period)
@@ -330,7 +330,7 @@ def judge_stage(situation: StageSituation) -> StageParameters:
 
 
 def judge_together(situation: StageSituation, recording: Recording) -> Outcome:
-    """Compare a path that neither the identification nor the design has seen with its prediction; write the file."""
+    """Compare a path that neither identification nor design has used with its prediction; write the parameter file."""
     references, judged = together(situation)
     errors = errors_of(situation, recording)
     expected = errors_of(situation, predicted(situation, "judge", references))

@@ -9,8 +9,8 @@
 
 """The stages of coupled axes in open loop: one axis after the other, then all together.
 
-Voltages and checks of an axis are those of a single axis; the readings of the other axes' sensors are checked in
-addition.
+Voltages and checks of each axis are those of a single axis. In addition, the readings of the other axes' sensors are
+checked.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, there_and_back
 from hysteresis_ros.units import readable
 
-#: Small multisine of an axis: samples of a period, and periods, of which the first only settles.
+#: Small multisine of an axis: samples of a period, and number of periods, the first of which is only for settling.
 SMALL_PERIOD, SMALL_PERIODS = 8000, 5
-#: An actuator that moves another sensor this many times as far as its own is connected wrongly.
+#: An actuator that moves another sensor this many times as far as its own sensor is connected wrongly.
 MISTAKEN = 2.0
 #: Largest predicted motion of the multisine of the identification about its mean, as a fraction of the stroke.
 SWING = 0.25
@@ -51,7 +51,7 @@ NOISY = 0.5
 
 
 def noise_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage at rest; devices have the whole range of the plans, so a narrower one is refused at once."""
+    """Return the stage at rest, with the whole range of the plans: a device with a narrower one is refused at once."""
     stage = situation.driven("noise", situation.resting(max(plan.noise_duration for plan in situation.plans.values())))
     axes = []
     for axis, plan in zip(stage.axes, situation.plans.values(), strict=True):
@@ -72,7 +72,7 @@ def gain_stage(situation: StageSituation) -> StageParameters:
 
 
 def static_gains(situation: StageSituation, recording: Recording) -> np.ndarray:
-    """Return how far each step moved each sensor, shape (n, n) [m/V], columns by actuator."""
+    """Return how far each step moved each sensor, shape (n, n) [m/V]; each actuator has a column."""
     spans = situation.in_turn(volts.small_step)[1]
     count = round(volts.STEP_HOLD * situation.rate)
     second = count + round(volts.STEP_WAY * situation.rate)
@@ -93,7 +93,7 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
         other = names[int(np.argmax(np.abs(gain[:, j])))]
         step = abs(volts.step_size(situation.plans[name], situation.safe[j]))
         most = float(np.abs(gain[:, j]).max()) * step
-        # as far as its own sensor was expected to move; a smaller motion is cross-talk
+        # the other sensor moves as far as the own sensor should have moved; a smaller motion is cross-talk
         if most > max(MISTAKEN * abs(gain[j, j]), situation.plans[name].gain / EXPECTED) * step and other != name:
             raise CommissioningError(
                 f"{step:.3g} V at the actuator of {name} move the sensor of {other} by {readable(most, 'm')} and its "
@@ -141,7 +141,7 @@ def judge_resonance(situation: StageSituation, recording: Recording) -> Outcome:
     steady = slice(first, first + (SMALL_PERIODS - 1) * SMALL_PERIOD)
 
     def judge(one: Situation, own: Recording) -> Outcome:
-        # creep at the new place is no response
+        # creep at the new position is not part of the response
         measured = without_drift(own["measured"][np.newaxis, steady, np.newaxis], SMALL_PERIOD)[0, :, 0]
         found = volts.response_outcome(own["voltage"][steady], measured, one.rate, SMALL_PERIOD)
         swing = {"swing_m": float(np.max(np.abs(measured - measured.mean())))}
@@ -176,7 +176,7 @@ def reading_of(recording: Recording, source: str) -> StageReading:
 
 
 def identification_data(situation: StageSituation, recording: Recording) -> tuple[StageReading, StructureData]:
-    """Return the multisines as they were planned: periods that lack a sample count too."""
+    """Return the multisines as planned, including periods that lack a sample."""
     asked = identification_excitation(situation)
     reading = reading_of(recording, "multisine.npz")
     first = round(REST * situation.rate) + round(WAY * situation.rate)

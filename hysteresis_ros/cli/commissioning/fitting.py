@@ -37,8 +37,8 @@ from hysteresis_ros.units import readable
 
 #: Number of samples per cycle for the identification of the hysteresis; more samples add no information.
 SAMPLES_A_CYCLE = 100
-#: Largest number of other models with which controllers are checked, and their largest error on held-out blocks
-#: relative to that of the best model.
+#: Largest number of other models with which controllers are checked, and largest error of these models on held-out
+#: blocks, relative to that of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
 #: Other models that are used when no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
@@ -57,7 +57,7 @@ OWN = {
 def slow_data(situation: Situation) -> IdentificationData:
     """Return the data of the decaying cycles, then of the creep, with neighbouring samples averaged.
 
-    If a resonance shows that there is no slow lag, the measurement is shifted earlier by the identified delay.
+    If a resonance shows that there is no slow lag, the measurement is shifted to earlier times by the identified delay.
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
@@ -84,7 +84,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage and write the model, which is chosen on held-out blocks unless the user has named a model."""
+    """Identify the stage and write the model; it is chosen by held-out blocks unless the user has named a model."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"
@@ -175,7 +175,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
             own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
-        # here the limits of motion follow from all recordings, in the identified file only from some of them
+        # here the limits of motion are computed from all recordings, in the identified file only from some of them
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")
@@ -238,7 +238,7 @@ def design_stage(situation: Situation) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A tried design, with the file of its axis and its RMS error [m] of the scan on the worst plant."""
+    """A tried design, with the file of its axis and the RMS error [m] of the scan on the worst plant."""
 
     words: str
     design: AxisDesign
@@ -280,7 +280,7 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
-    # the limits belong to the amplifier, which is the same
+    # the limits stay, because the amplifier is the same
     limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
     plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})

@@ -27,13 +27,13 @@ from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, r
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Duration of a small step, and of the holds around it [s]; duration of the creep step [s], and hold after its return
-#: as a fraction of the creep duration.
+#: Duration of a small step, and of the holds before and after it [s]; duration of the creep step [s], and hold after
+#: its return, as a fraction of this duration.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Number of periods of the multisine, and their length [s]; the first period is for settling.
 PERIODS, PERIOD = 5, 2.0
-#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which it decays to 1/e.
+#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which this decays to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
 #: Level of the creep step, as a fraction of the range.
 CREEP_PART = 0.8
@@ -51,7 +51,7 @@ def step_size(plan: Plan, safe: float) -> float:
 
 
 def small_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a small step and the return [V]."""
+    """Return a small step and the step back [V]."""
     level, wait = safe + step_size(plan, safe), hold(safe, STEP_HOLD, rate)
     up, back = way(safe, level, STEP_WAY, rate), way(level, safe, STEP_WAY, rate)
     return np.concatenate([wait, up, hold(level, STEP_HOLD, rate), back, wait])
@@ -82,7 +82,7 @@ def creeping_level(plan: Plan, safe: float) -> float:
 
 
 def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a large step with a long hold, the return, and a hold after it [V]."""
+    """Return a large step with a long hold, the step back, and a hold after it [V]."""
     level = creeping_level(plan, safe)
     up, back = way(safe, level, CREEP_WAY, rate), way(level, safe, CREEP_WAY, rate)
     held, rest = hold(level, plan.creep_duration, rate), hold(safe, BACK_PART * plan.creep_duration, rate)
@@ -93,7 +93,7 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
 NOISY, FAR_AWAY = 0.02, 20.0
 #: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest factor between measured and expected gain, and largest remaining movement, as a fraction of a small step.
+#: Largest factor between measured and expected gain, and largest movement after a small step, as a fraction of it.
 EXPECTED, RINGING = 3.0, 0.25
 #: Part of the height of a peak within which its resonance is fitted: the half-power band.
 HALF_POWER = math.sqrt(0.5)
@@ -101,7 +101,7 @@ HALF_POWER = math.sqrt(0.5)
 STANDS_OUT = 2.0
 #: Number of the lowest frequencies of a response from which delay and gain are determined.
 LOW_LINES = 20
-#: Largest fraction of the samples within the noise around the extreme reading; above it the sensor counts as clipping.
+#: Largest fraction of the samples within the noise around the extreme reading; with more, the sensor counts as clipped.
 CLIPPED = 0.03
 MICRO = 1e6
 
@@ -146,7 +146,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_gain(situation: Situation, recording: Recording) -> Outcome:
-    """Check the response to a small step: its presence, sign and size, and whether it settles."""
+    """Check the response to a small step: whether there is one, its sign and size, and whether it settles."""
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
     step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)
@@ -251,7 +251,7 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
 def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
     """Return frequency [Hz] and damping ratio of the highest peak."""
     size = np.abs(found.single)
-    # its half-power band: a few lines at its flat top would give the curvature of their noise
+    # the half-power band of the peak: the curvature of a few lines at its flat top would be that of their noise
     low = np.flatnonzero(size[:peak] < HALF_POWER * size[peak])
     high = np.flatnonzero(size[peak:] < HALF_POWER * size[peak])
     first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else size.size)

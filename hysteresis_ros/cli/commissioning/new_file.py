@@ -178,13 +178,13 @@ def new_text(axis: NewAxis) -> str:
 
 
 def new_stage_text(axes: Mapping[str, NewAxis]) -> str:
-    """Return the text of the parameter file of a new stage; its axes have their names and one sample rate."""
+    """Return the text of the parameter file of a new stage; each axis has a name, and all have one sample rate."""
     count, rate = len(axes), next(iter(axes.values())).sample_rate
     identity = [float(i == j) for i in range(count) for j in range(count)]
     text = _STAGE_TEMPLATE.substitute(
         percent=f"{100.0 * FIRST_PART:g}",
         rate=_number(rate),
-        names=json.dumps(list(axes)),  # quoted: the parser of ROS reads y as true
+        names=json.dumps(list(axes)),  # quoted, because the parser of ROS reads y as true
         count=count,
         zeros=_scalar([0.0] * count**2),
         identity=_scalar(identity),
@@ -244,7 +244,7 @@ def _scalar(value) -> str:
 def write_new(path, new: NewAxis | Mapping[str, NewAxis]) -> None:
     """Write the parameter file of a new axis, or of a stage of several axes by their names.
 
-    The file is deleted if they cannot be built, and never overwritten.
+    The file is deleted if the axis or stage cannot be built from it. An existing file is never overwritten.
     """
     path = pathlib.Path(path)
     if path.suffix not in (".yaml", ".yml"):
@@ -258,7 +258,7 @@ def write_new(path, new: NewAxis | Mapping[str, NewAxis]) -> None:
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
     try:
-        # a driver's relative path is relative to the file
+        # a relative path of a driver is relative to the folder of the file
         configuration = load_configuration(path)
         if isinstance(new, NewAxis):
             single_axis(configuration)

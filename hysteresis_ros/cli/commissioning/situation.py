@@ -52,7 +52,7 @@ class Outcome:
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> Outcome:
-        """Return the outcome from a mapping that :func:`dataclasses.asdict` made of it."""
+        """Return the outcome from a mapping that :func:`dataclasses.asdict` has made of an outcome."""
         lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
         if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
             raise TypeError("an outcome with values of other types")
@@ -138,7 +138,7 @@ class Plan(Parameters):
 def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> Plan:
     """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator.
 
-    A section for all axes and one in the namespace of the axis may both be given; the latter wins.
+    A section for all axes and a section in the namespace of the axis may both be given; the latter has precedence.
     """
     axis.require_generator(
         f"{configuration.source}: a walking motor cannot be commissioned; commission its extender alone, in a file "
@@ -241,9 +241,9 @@ class Folder:
         return load_run(path)
 
 
-#: Fraction of the stroke by which readings of the sensor may exceed the displacements that a stage expects.
+#: Fraction of the stroke by which sensor readings may exceed the displacements that are expected in a stage.
 OVERTRAVEL = 0.5
-#: Half width of the voltage limits of a stage without movement, as a fraction of the range; limits must not be empty.
+#: Half width of the voltage limits in a stage without movement, as a fraction of the range; 0 would give no range.
 NOTHING = 1e-4
 
 
@@ -257,7 +257,7 @@ class Situation:
     folder: Folder
     model: str = "auto"  #: model, controller: Model to identify and controller to design, or ``auto``.
     controller: str = "auto"
-    #: Other models of the stage that a controller must tolerate too; by default those with almost the same error.
+    #: Other models of the axis with which a controller must work too; by default those with almost the same error.
     against: tuple[str, ...] | None = None
     #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
@@ -280,7 +280,7 @@ class Situation:
         return self.found[stage].figures[name]
 
     def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
-        """Return the axis that outputs voltages in open loop, with limits just outside their range.
+        """Return the axis that outputs voltages in open loop, with limits just outside the range of these voltages.
 
         Units: ``voltages`` [V].
         """
@@ -298,7 +298,7 @@ class Situation:
         block = hysteresis_block(self.axis.hysteresis_compensator.hysteresis, 1.0 / self.rate)
         path = write_samples(self.folder.path / "waveforms" / f"{stage}.npz", voltages * block.gain, self.rate)
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference"}
-        # the samples are absolute, and the setpoint is not 0 where the limits exclude 0 V
+        # the voltages are absolute, and the setpoint is not 0 if the limits exclude 0 V
         setpoint = min(max(0.0, block.gain * limits.minimum), block.gain * limits.maximum)
         configuration = driven(configuration, limits, block.gain, waveform | {"offset": -setpoint})
         found = single_axis(configuration, self.axis.namespace)
@@ -309,7 +309,7 @@ class Situation:
         # plausible measurements follow from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
-        if "noise" in self.found:  # before the stage "noise" the zero of the sensor is unknown
+        if "noise" in self.found:  # before the stage "noise" is done, the zero of the sensor is unknown
             values |= {"preload.A1": self.figure("noise", "sensor_zero_m"), "overtravel": OVERTRAVEL * self.plan.stroke}
         return values
 

@@ -34,7 +34,7 @@ class Stage:
     """A stage that moves the axis, or the coupled axes."""
 
     title: str  #: Title on the page.
-    words: Callable[[Any], str]  #: ``words(situation)``: describes the next movement and its size.
+    words: Callable[[Any], str]  #: ``words(situation)``: description of the next movement and of its size.
     #: ``axis(situation)``: the axis or the coupled axes to run; or an outcome, if nothing has to move.
     axis: Callable[[Any], AxisParameters | StageParameters | Outcome]
     #: ``judge(situation, recording)``: the outcome; raises an error when a result is implausible.
@@ -165,7 +165,7 @@ def require_stages(stages: Iterable[str], procedure: Procedure = STAGES) -> None
 def commission(
     situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = (), procedure: Procedure = STAGES
 ) -> bool:
-    """Run the stages in their order, except finished ones; return whether all are finished."""
+    """Run the stages in order, except finished ones; return whether all are finished."""
     asked = set(stages)
     names = list(procedure)
     for place, name in enumerate(names):
