@@ -93,7 +93,7 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
         other = names[int(np.argmax(np.abs(gain[:, j])))]
         step = abs(volts.step_size(situation.plans[name], situation.safe[j]))
         most = float(np.abs(gain[:, j]).max()) * step
-        # the other sensor moves as far as the own sensor should have moved; a smaller motion is cross-talk
+        # as far as the sensor of the actuator should have moved; a smaller motion is cross-talk
         if most > max(MISTAKEN * abs(gain[j, j]), situation.plans[name].gain / EXPECTED) * step and other != name:
             raise CommissioningError(
                 f"{step:.3g} V at the actuator of {name} move the sensor of {other} by {readable(most, 'm')} and its "

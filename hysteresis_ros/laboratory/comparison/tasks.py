@@ -167,7 +167,7 @@ def make_tasks(conditions: Conditions, reach: tuple[float, float]) -> tuple[Task
 
 
 class DrawnPlant(ABC):
-    """A drawn plant."""
+    """A plant drawn at random."""
 
     @property
     @abstractmethod

@@ -24,7 +24,7 @@ from hysteresis_ros.laboratory.sweeps.summary import Summary, lines
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BOUND = dict(color="#222222", linewidth=1.0, linestyle=(0, (4, 3)))
-#: Maximum number of points of a scatter plot; of more runs only every n-th is drawn.
+#: Maximum number of points of a scatter plot; of more runs only every n-th is plotted.
 POINTS = 5000
 
 
@@ -132,7 +132,7 @@ def write_sweep_page(path, title: str, *, figures: Sequence[tuple[str, object]],
     write_page(path, render_page("sweep.html.j2", title=title, plots=plots, **contents))
 
 
-#: Maximum number of parameters against which a metric is drawn.
+#: Maximum number of parameters over which a metric is plotted.
 MOST_DRAWN = 6
 
 

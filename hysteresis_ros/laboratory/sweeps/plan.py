@@ -40,11 +40,11 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: How a drawn number changes the configured value.
+#: How a number drawn at random changes the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance between drawn numbers, so that none is 0 or 1, where a normal distribution is infinite.
+#: Half the distance between random numbers, so that none is 0 or 1, where a normal distribution is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"

@@ -508,7 +508,7 @@ class AxisLink:
                     client.call_async(Trigger.Request())
 
     def _joints(self) -> tuple[str, ...]:
-        """Return the joint names in ``joint_states``, in their order."""
+        """Return the names of the joints, in the order in which ``joint_states`` contains them."""
         heard: list[JointState] = []
         topic = self._client.full_name("joint_states")
         subscription = self._client.node.create_subscription(JointState, topic, heard.append, sensor_qos())
