@@ -150,7 +150,7 @@ class Scene:
         return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
 
     def _covered(self, inside: np.ndarray) -> np.ndarray:
-        """Return the fraction of a pixel's light that comes from the body, ``inside`` [px] its edge."""
+        """Return the fraction of a pixel's light that comes from the body, at ``inside`` [px] within its edge."""
         # a pixel collects light over its width, so this is the integral of the blurred edge
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 

@@ -183,8 +183,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
 
 
 def _alone(element: Element, alpha: float) -> float:
-    """Return the rms error on the decaying cycles without the first undamped one, as a fraction of their
-    peak-to-peak."""
+    """Return the rms error on the decaying cycles after the undamped one, as a fraction of their range."""
     voltage = element.decaying[SAMPLES:]
     truth = element.displacement(voltage)
     error = (element.duhem(alpha).simulate(voltage) - truth)[SAMPLES // 4 :]
