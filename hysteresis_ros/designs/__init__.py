@@ -10,8 +10,8 @@
 """Designs: from a model or a measured response to the parameters of a controller.
 
 Start with :mod:`.controller` (``hysteresis design``), which uses :mod:`.gains` and :mod:`.damping`. :mod:`.learning`
-with :mod:`.learning_filters` designs the learning for periodic references. :mod:`.frequency_response` measures an axis;
-:mod:`.measured` and :mod:`.setpoint_step` verify a design. Designs of a single control law are in the module of that
-law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and
+designs the learning for periodic references with :mod:`.learning_filters`. :mod:`.frequency_response` measures an axis;
+:mod:`.measured` and :mod:`.setpoint_step` verify a design. A design that serves only one control law is in the module
+of that law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and
 :mod:`.coupled_learning`, which learns from run to run.
 """

@@ -38,7 +38,7 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 
 NODE = "motion_controller"
-#: First lines of the comments that a new design replaces: those of a learning design, and those of any design.
+#: First lines of the comments that a new design replaces: LEARNING for a design of learning, HEADERS for any design.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 FEEDFORWARD = ("# Feedforward designed by `hysteresis design", "# on the model of the stage:")
 HEADERS = (
@@ -50,7 +50,7 @@ HEADERS = (
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
-    """Return the flat parameters of the controller node: those of the file, with the designed groups.
+    """Return the flat parameters of the controller node: those of the file, with the groups that were designed.
 
     A learned correction is removed, because its filters were designed for the previous controller.
     """
@@ -90,7 +90,7 @@ def learning_text(configuration: Configuration, parameters: LearningParameters, 
 
 
 def feedforward_text(configuration: Configuration, values: dict, namespace: str, node: str, header: str) -> str:
-    """Return the text of the file with other values of the feedforward in a section; everything else stays."""
+    """Return the text of the file with new feedforward values in a section; everything else stays."""
     chosen = {f"feedforward.{name}": value for name, value in values.items()}
 
     def changed(before: dict) -> dict:
@@ -100,7 +100,7 @@ def feedforward_text(configuration: Configuration, values: dict, namespace: str,
 
 
 def scan_text(configuration: Configuration, chosen: dict, namespace: str) -> str:
-    """Return the text of the file of a stage that follows another scan; everything else stays."""
+    """Return the text of a stage's file in which the parameters of the scan are replaced; everything else stays."""
     chosen = {f"scan.{name}": value for name, value in chosen.items()}
     return _text(configuration, lambda before: before | chosen, namespace, "", (), STAGE)
 
@@ -113,7 +113,7 @@ def _text(
     replaced,
     node: str = NODE,
 ) -> str:
-    """Return the text of a file with new values and a new comment in a section."""
+    """Return the text of a file in which one section has new values and a new comment."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     full = f"{namespace}/{node}"
     root = yaml.compose(configuration.text)
@@ -143,11 +143,11 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == full.rsplit("/", 1)[-1] and matches(pattern, full)
 
 
-#: Maximum number of halvings of the bandwidth, and number of steps of the refinement that follows.
+#: Maximum number of halvings of the bandwidth, and number of steps of the search that then raises it again.
 HALVINGS, RAISED = 18, 3
 #: Variances of the input noise that are tried for a slower observer, relative to the measurement noise.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
-#: Response of a model without an identification.
+#: Uncertainty that is assumed for the response of a model without an identification.
 KNOWN = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
@@ -156,7 +156,7 @@ Design = Callable[[float | None, float | None], Designed]
 def response_uncertainty(configuration: Configuration, axis: str = "") -> ResponseUncertainty | None:
     """Return the uncertainty of the response that an identification has written into a parameter file, or None.
 
-    An identified stage has one for each ``axis``.
+    For an identified stage, ``axis`` selects the axis.
     """
     found = next((values for name, values in configuration.entries if name == SECTION), {})
     start = f"{axis}.response." if axis else "response."
@@ -189,7 +189,7 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return the limit that the known accuracy of the response sets to the loop of a design.
+    """Return the limit on the loop of a design that results from the known accuracy of the response.
 
     Units: ``sample_time`` [s].
     """
@@ -197,7 +197,7 @@ def borne(found: Designed, response: ResponseUncertainty, sample_time: float) ->
 
 
 def is_certain(found: Designed, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design is stable on all plants of an identification, with its margins at the largest gain.
+    """Return whether a design is stable on all plants of an identification and keeps its margins at the largest gain.
 
     Units: ``sample_time`` [s].
     """
@@ -209,20 +209,21 @@ def is_certain(found: Designed, response: ResponseUncertainty, sample_time: floa
     return judge(controller, plant.scaled(response.gain), sample_time, with_bandwidth=False).meets()
 
 
-#: Corners of a roll-off per decade, and decades below half the sample rate; steps of the search for the gain at each.
+#: Number of corners of a roll-off per decade; decades of corners below half the sample rate; steps of the search for
+#: the gain at each corner.
 CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
-#: Smallest gain of the integral, relative to that without a roll-off, at which a roll-off is used; smallest part of a
-#: requested bandwidth that counts as reached.
+#: A roll-off is used if it raises the gain of the integral by at least the factor WORTH. A requested bandwidth counts
+#: as reached at this fraction of it.
 WORTH, REACHED = 1.1, 0.97
 
 
 def rolled_off_design(
     first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float, bandwidth: float | None = None
 ) -> Designed | None:
-    """Return the certain integral controller with the largest gain, of all corners of its roll-off, or None.
+    """Return the certain integral controller with the largest gain over all corners of its roll-off, or None.
 
-    Units: ``sample_time`` [s]; ``quiet``: largest gain from the sensor's noise to the command; ``bandwidth``: largest
-    one [Hz].
+    Units: ``sample_time`` [s]. ``quiet`` is the largest gain from the sensor's noise to the command, ``bandwidth`` the
+    largest bandwidth [Hz].
     """
     own = first.parameters.before_damping(sample_time)
     unit = 1.0 / (own.model.dynamics.matrices.dc_gain * sample_time)
@@ -244,7 +245,7 @@ def rolled_off_design(
     best, largest = None, 0.0
     for corner in np.pi / sample_time * 10.0 ** np.linspace(-CORNER_DECADES, -0.3, int(CORNERS * CORNER_DECADES)):
         rounded = float(f"{corner:.6g}")
-        # at a crossover above a third of the corner the low-passes leave too little phase
+        # if the crossover is above a third of the corner, the low-passes leave too little phase
         low, high = largest, min(rounded * sample_time / 3.0, 1.0)
         for _ in range(GAIN_STEPS if high > low else 0):
             middle = float(np.sqrt(max(low, 1e-3 * high) * high))
@@ -262,7 +263,7 @@ def rolled_off_design(
 def _pid(
     design: Design, request: DesignRequest, response: ResponseUncertainty, sample_time: float, quiet: float
 ) -> Designed:
-    """Return a pid, with a roll-off where only that reaches a bandwidth, or where light modes limit one without it."""
+    """Return a pid, with a roll-off if the bandwidth requires it, or if lightly damped modes limit a pid without it."""
     asked = request.bandwidth
     try:
         first = design(asked, request.q)
@@ -282,7 +283,7 @@ def _pid(
         return rolled
     own = first.parameters.before_damping(sample_time).model.dynamics.state_space
     light = [damping for _, damping in modes(own.poles, sample_time) if damping < LITTLE_DAMPING]
-    # a pid cancels one mode; an uncertain one is designed anew anyway
+    # a pid cancels one mode; an uncertain pid is designed again anyway
     if asked is not None or len(light) < 2 or not is_certain(first, response, sample_time):
         return first
     rolled = rolled_off_design(first, quiet, response, sample_time)
@@ -297,9 +298,10 @@ def certain_design(
     sample_time: float,
     quiet: float = np.inf,
 ) -> Designed:
-    """Return a design that is stable for all plants that are consistent with the identification.
+    """Return a design that is stable on all plants that are consistent with the identification.
 
-    For this, unspecified parts of the design are made slower: first the observer, then the response to the reference.
+    For this, the parts of the design that the request leaves open are made slower: first the observer, then the
+    response to the reference.
 
     Units: ``sample_time`` [s].
     """
@@ -351,7 +353,7 @@ def certain_design(
 
 
 def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design tolerates unknown dynamics; True without a design."""
+    """Return whether a design tolerates unknown dynamics; True if there is no design."""
     with contextlib.suppress(ParameterError):
         found = borne(design(bandwidth, q), response, sample_time)
         return found.distance >= KEPT or found.frequency <= response.known_to
@@ -359,7 +361,7 @@ def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, 
 
 
 def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:
-    """Return the fastest design up to a bandwidth that is stable for all plants consistent with the identification."""
+    """Return the fastest design up to a bandwidth that is stable on all plants consistent with the identification."""
     for _ in range(HALVINGS):
         slow = 0.5 * fast
         best = found_with(slow)
@@ -373,11 +375,12 @@ def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Desi
     return None
 
 
-#: Poles with a smaller modulus are delays and not printed; several poles at 0 are computed with about this error.
+#: Poles with a smaller modulus are delays and not printed. The error of computed poles is about this large if several
+#: poles are at 0.
 AT_ZERO = 1e-3
 
 
-#: Assumed RMS noise of an unknown sensor, and largest noise of the command, as fractions of the stroke.
+#: Assumed RMS noise of a sensor whose noise is not known, and largest noise of the command, as fractions of the stroke.
 ASSUMED_NOISE = 1e-4
 NOISY_COMMAND = 2e-3
 
@@ -395,25 +398,25 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """Request of a design."""
+    """Options of a design."""
 
     controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
     bandwidth: float | None = None  #: [Hz]
-    q: float | None = None  #: Ratio of the input noise variance to the measurement noise variance in the Kalman filter.
-    #: ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, if the law supports it.
+    q: float | None = None  #: Kalman filter: ratio of the variance of the input noise to that of the measurement noise.
+    #: ``iae``, ``ise`` or ``itae``: criterion by which the gains are tuned on the waveform, if the law supports it.
     criterion: str | None = None
     duration: float | None = None  #: Length of the run for the tuning [s].
-    feedforward: bool = False  #: Add the inverse of the dynamics.
+    feedforward: bool = False  #: Whether to add the inverse of the dynamics.
     preview: int | None = None  #: Samples of preview of the feedforward; by default as many as the inverse needs.
     #: RMS of the sensor's noise [m], which limits the bandwidth if none is given; by default :data:`ASSUMED_NOISE` of
     #: the stroke.
     noise: float | None = None
-    #: Plants that must meet the requirements; by default the model and, with damping, also plants whose resonances are
-    #: 10 % lower or higher.
+    #: Plants that must meet the requirements. By default these are the model and, with damping, also plants whose
+    #: resonances are 10 % lower or higher.
     robust: Uncertainty | None = None
     #: Kind of damping to design first, or ``none``; by default the damping of the configuration is kept.
     damping: str | None = None
-    damping_peak: float = REQUIRED.sensitivity_peak  #: Largest M_s of its loops; lower values give a weaker damping.
+    damping_peak: float = REQUIRED.sensitivity_peak  #: Largest M_s with the damping; lower: weaker damping.
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,19 +430,19 @@ class AxisDesign:
     tuned: Tuned | None = None  #: Result of the tuning, if any.
     robustness: Robustness | None = None  #: Margins on the plants of a robust design.
     limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
-    gain: float = 1.0  #: Largest factor on the gain of the plant at which the margins were required.
+    gain: float = 1.0  #: Largest factor on the plant's gain at which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
-    together: str = ""  #: What the loops of the other axes of a stage have changed in this design.
+    together: str = ""  #: How the loops of the other axes of a stage have changed this design.
     calmed: str = ""  #: Why the law is slower than it could be.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the loop, on the model or on a drawn plant."""
+        """Return the unmet requirements of the loop, on the model or on one of the other plants."""
         others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
         return self.margins.misses() or next((said for said in others if said), ())
 
 
 def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
-    """Return the plants of a robust design, from the options of the command."""
+    """Return the uncertainty that defines the plants of a robust design, from the options of the command."""
     given = {name: value for name, value in ranges.items() if value is not None}
     if not robust:
         if given:
@@ -455,7 +458,7 @@ def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
 def design_axis(
     axis: AxisParameters, request: DesignRequest, response: ResponseUncertainty | None = None
 ) -> AxisDesign:
-    """Design the controller of an axis from the model in its own parameters."""
+    """Design the controller of an axis for the model in the axis' own parameters."""
     _check_request(axis, request)
     sample_time = 1.0 / axis.motion_controller.sample_rate
     given = part(axis.motion_controller, ControllerParameters)
@@ -488,7 +491,7 @@ def design_axis(
         with contextlib.suppress(ParameterError, ConfigurationError):
             bandwidth = design_axis(axis, plain, response).margins.bandwidth
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
-    # the result of the search does not apply to a design that was made slower
+    # the result of the search is not valid for a design that was made slower afterwards
     kept = {"robustness": robust} if found is first else {"limited": response}
     gain = 1.0 if response is None else response.gain
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
@@ -497,7 +500,7 @@ def design_axis(
 def _gains(
     control: ControllerParameters, request: DesignRequest, sample_time: float, quiet: float, around: PlantsAround
 ) -> tuple[Designed, Robustness | None]:
-    """Return gains for a request, with the damping of the parameters."""
+    """Return gains for a request, with the damping in the parameters."""
     name, q = request.controller, request.q
     if request.robust is not None:
         aimed = replace(REQUIRED, command_noise_gain=quiet)
@@ -563,7 +566,7 @@ def _feedforward(control: ControllerParameters, request: DesignRequest) -> Feedf
 
 
 def design_file(configuration: Configuration, result: AxisDesign, namespace: str) -> str:
-    """Return the text of the parameter file of a design, after a check that the axis can be built from it."""
+    """Return the text of the parameter file with a design, after a check that the axis can be built from it."""
     request = result.request
     words = [f"--controller {request.controller}"]
     for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
@@ -595,13 +598,14 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     return text
 
 
-#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model: a lag or a delay
-#: then overshoots a move by about 1/(2 SMOOTH²), 1 %, at most; a light resonance adds what it has without feedforward.
+#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model. A lag or a delay
+#: then overshoots a move by at most about 1/(2 SMOOTH²) = 1 %. A lightly damped resonance adds the overshoot that it
+#: has without feedforward.
 SMOOTH = 7.0
 
 
 def _with_smooth_approach(text: str, result: AxisDesign, namespace: str) -> str:
-    """Return the text of a file whose moves to setpoints are smooth enough for feedforward by velocity."""
+    """Return the text of a file whose moves to setpoints are smooth enough for a feedforward by velocity."""
     configuration = parse_configuration(text, "the designed file")
     axis, sample_time = single_axis(configuration, namespace or None), result.sample_time
     if axis.reference_generator is None or not axis.generator.approach.maximum_velocity:
@@ -668,7 +672,7 @@ def design_lines(result: AxisDesign) -> list[str]:
 
 
 def _range_words(given: Uncertainty) -> list[str]:
-    """Return the command-line options for these plants."""
+    """Return the command-line options for these ranges."""
     return [f"--{OPTIONS[item.name]} {getattr(given, item.name):g}" for item in fields(given)]
 
 

@@ -9,12 +9,12 @@
 
 """The loops of a stage: margins, and design of the controllers and of the learned corrections of all axes.
 
-**Dynamic decoupling of a scan.** R are the references of all axes at a harmonic of the path, and T is the coupled
+**Dynamic decoupling of a scan.** Let R be the references of all axes at a harmonic of the path, and T the coupled
 closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q (T⁻¹ - I)
-R. With Q = I, the displacements of all axes of the model equal R at the samples. The path of a whole period is known in
-advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness filter of
-the axis; above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with the
-errors that the model does not predict.
+R. With Q = I, the displacements of all axes of the model are equal to R at the samples. The path of a whole period is
+known in advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness
+filter of the axis; above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with
+the errors that the model does not predict.
 """
 
 from __future__ import annotations
@@ -57,22 +57,24 @@ from hysteresis_ros.loop.stage_response import (
 )
 from hysteresis_ros.models.linear_algebra import product
 
-#: Uncertainty of the response of each axis, by its name; the model of an axis without an entry is taken as exact.
+#: Uncertainty of the response of each axis, by the name of the axis; the model of an axis without an entry counts as
+#: exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
-#: Parts of the bandwidth of each axis alone that are tried where the other loops do not permit it, and the largest M_s
-#: of weaker dampings. Around a damping only the first parts are tried: a damping is for a fast law.
+#: Fractions of the bandwidth of each axis alone that are tried if the loops of the other axes do not permit this
+#: bandwidth; with a damping, which is meant for a fast law, only the first AROUND of them. PEAKS are the largest M_s of
+#: weaker dampings.
 SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
 #: Bandwidth of the slow axis of a raster, in multiples of its lines per second, or of the bandwidth of its path.
 CALM = 10.0
-#: Entry of the table of a stage whose loops are unstable.
+#: Table entry of a stage with unstable loops.
 UNSTABLE = "none: the loop is unstable"
-#: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
+#: Frequencies at which the coupling is printed, and grid for singular values, both as fractions of the sample rate.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 
 def stage_lines(parameters: StageParameters, more: Iterable[tuple[str, str]] = ()) -> list[str]:
-    """Return the printed table of a stage: interaction of its axes, the margins of its loops, and further rows."""
+    """Return the printed table of a stage: interaction of its axes, margins of its loops, and further rows."""
     rows = [*stage_rows(parameters), *more]
     width = max(len(name) for name, _ in rows)
     return [f"{name:<{width}}  {text}" for name, text in rows]
@@ -114,9 +116,10 @@ def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
 def with_written_scan(
     configuration: Configuration, kind: str, values: Sequence[str], periods: int = 0
 ) -> Configuration:
-    """Return the configuration of a stage whose text has another scan, with parameters as texts ``NAME=VALUE``.
+    """Return the configuration of a stage in which another scan is written into the text of the file.
 
-    It has at least ``periods``, or those of the file.
+    ``values`` are the parameters of this scan, each ``NAME=VALUE``. If the file has fewer periods than ``periods``,
+    they are set to ``periods``; 0 in the file (endless) stays.
     """
     chosen: dict = {"kind": kind, "values": tuple(values)}
     own = StageParameters.from_configuration(configuration).stage.scan.periods
@@ -127,7 +130,7 @@ def with_written_scan(
 
 
 def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:
-    """Return the uncertainty of the response of each axis that an identification has written into a parameter file."""
+    """Return the uncertainty of each axis' response that an identification has written into a parameter file."""
     found = {name: response_uncertainty(configuration, name) for name in parameters.names}
     return {name: known for name, known in found.items() if known is not None}
 
@@ -138,11 +141,11 @@ def design_controllers(
     known: Uncertainties,
     chosen: str | None = None,
 ) -> dict[str, AxisDesign]:
-    """Design the controllers of all axes, or of one axis, each for the model of its own axis.
+    """Design the controllers of all axes, or of one axis, each for the model of its axis.
 
-    They have to meet the requirements with the loops of all axes closed too, with a damping also with other resonances.
-    If they do not, the law is made slower, or a requested damping weaker, or it is omitted; each design states why.
-    The slow axis of a raster gets a slow law, unless a bandwidth is requested.
+    The controllers must meet the requirements also with the loops of all axes closed, and with a damping also for other
+    resonances. If they do not, the law is made slower, or a requested damping is weakened or omitted; each design
+    states why. The slow axis of a raster gets a slow law, unless a bandwidth is requested.
     """
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
     designs = {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
@@ -150,9 +153,9 @@ def design_controllers(
 
 
 def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
-    """Return the slow axis of the raster that a stage follows, and the bandwidth [Hz] that suffices for it, or None.
+    """Return the slow axis of the stage's raster scan and the bandwidth [Hz] that suffices for it, or None.
 
-    Such an axis hardly moves: a faster loop only moves it by more of the noise of its sensor.
+    This axis hardly moves, so a faster loop would only add motion by the noise of its sensor.
     """
     scan = parameters.scan
     if scan is None or not scan.slow_axis:
@@ -167,7 +170,7 @@ def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
 def _calmed(
     parameters: StageParameters, request: DesignRequest, known: Uncertainties, designs: dict[str, AxisDesign]
 ) -> dict[str, AxisDesign]:
-    """Return the designs with a slower law of the slow axis of a raster, if it meets its requirements."""
+    """Return the designs, with a slower law for the slow axis of a raster if this law meets its requirements."""
     calm = calm_bandwidth(parameters)
     if calm is None or not _free(request):
         return designs
@@ -192,7 +195,7 @@ def _free(request: DesignRequest) -> bool:
 def _adjusted_together(
     parameters: StageParameters, request: DesignRequest, known: Uncertainties, first: dict[str, AxisDesign]
 ) -> dict[str, AxisDesign]:
-    """Return designs that meet the requirements with the loops of all axes closed, or the first ones with a note."""
+    """Return designs that meet the requirements with all loops closed, or else the first designs with a note."""
     kinds = {design.parameters.damping.type for design in first.values()} - {NONE}
     resonance = RESONANCE if request.robust is None else request.robust.resonance
     resonance = resonance if kinds else 0.0  # a law without damping may cancel its resonance
@@ -202,7 +205,7 @@ def _adjusted_together(
     kind = ", ".join(sorted(kinds))
     ways = [(request, resonance, f"the law is slower around the damping {kind}" if kinds else "the law is slower")]
     if request.damping not in (None, NONE):
-        # weaker dampings, then none, whose law cancels resonances that may not be elsewhere
+        # weaker dampings, then no damping; without it the law cancels resonances that the plant may have elsewhere
         ways += [
             (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
             for peak in PEAKS
@@ -229,7 +232,7 @@ def _adjusted_together(
 
 
 def _designed(parameters: StageParameters, request: DesignRequest, known: Uncertainties, bands) -> dict:
-    """Design the axes that ``bands`` names; its values are bandwidths [Hz], or designs where none is requested."""
+    """Design the axes in ``bands``: for its bandwidths [Hz], or as requested if its values are not bandwidths."""
     found = {}
     for name, band in bands.items():
         asked = replace(request, bandwidth=band) if isinstance(band, float) else request
@@ -238,7 +241,7 @@ def _designed(parameters: StageParameters, request: DesignRequest, known: Uncert
 
 
 def with_designs(parameters: StageParameters, designs: Mapping[str, AxisDesign]) -> StageParameters:
-    """Return a stage with designed controllers in some of its axes."""
+    """Return a stage in which the designed controllers replace those of their axes."""
     axes = list(parameters.axes)
     for name, design in designs.items():
         place = parameters.place(name)
@@ -266,7 +269,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 
 
 def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
-    """Return the text of a file with the designed section of each axis, one common header, and limits of its motion."""
+    """Return the text of a file with the designed section and the motion limits of each axis, and a common header."""
     text, source = configuration.text, configuration.source
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
@@ -276,7 +279,7 @@ def with_sections(configuration: Configuration, designs, header: str, written: C
 
 
 def safe_stage_text(text: str) -> str:
-    """Return the text of a designed stage with limits of the motion of all axes, after a check that it can be built."""
+    """Return the text of a designed stage with limits on the motion of all axes, after a check that it can be built."""
     source = "the designed file"
     given = StageParameters.from_configuration(parse_configuration(text, source))
     stage = given.stage
@@ -297,7 +300,7 @@ class StageLearning:
 
 
 def shortest_period(path: np.ndarray) -> int:
-    """Return the least number of samples after which a path repeats within its own length, which is one period."""
+    """Return the smallest period of a path [samples], if the path is one period of a repeating motion."""
     count = len(path)
     for period in range(2, count):
         if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:
@@ -306,7 +309,7 @@ def shortest_period(path: np.ndarray) -> int:
 
 
 def require_no_feedforward(parameters: StageParameters) -> None:
-    """Refuse a feedforward: corrections of the reference invert the loops themselves."""
+    """Refuse a feedforward, because the corrections of the reference invert the loops already."""
     for axis in parameters.axes:
         given = axis.motion_controller.feedforward.type
         if given != "none":
@@ -332,7 +335,7 @@ def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
 
 
 def design_stage_learning(parameters: StageParameters, request: LearningRequest, known: Uncertainties) -> StageLearning:
-    """Design the learning of every axis that scans, for the period of its own path, with the initial corrections."""
+    """Design the learning of every axis that scans, for the period of its own path, and its initial corrections."""
     paths, rate = scanned_paths(parameters), parameters.sample_rate
     corrections = decoupled(parameters, paths)
     found = StageLearning({}, {}, {})
@@ -344,7 +347,8 @@ def design_stage_learning(parameters: StageParameters, request: LearningRequest,
             continue
         design = design_learning(axis, replace(request, period=period / rate), known.get(name))
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
-        # averaged, because effects of another axis with a longer period do not repeat in each period of this axis
+        # averaged over the periods of this axis, because effects of another axis with a longer period differ between
+        # them
         own = corrections[place].reshape(-1, period).mean(axis=0)
         own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
         largest = float(np.max(np.abs(own)))
@@ -363,7 +367,7 @@ def design_stage_learning(parameters: StageParameters, request: LearningRequest,
 
 
 def stage_learning_file(configuration: Configuration, result: StageLearning, files: dict[str, str]) -> str:
-    """Return the text of the parameter file with designed learning, which begins with the corrections in the files."""
+    """Return the text of the parameter file with designed learning, which starts from the corrections in ``files``."""
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     kind = next(iter(result.designs.values())).parameters.type
     reached = ", ".join(

@@ -10,24 +10,25 @@
 """Learning of all axes of a stage together, from run to run of a periodic scan: norm-optimal, harmonic by harmonic.
 
 In run j the corrections M_j of all axes (n complex amplitudes at each harmonic of the common period) are fixed, and the
-errors against the undelayed path have the amplitudes E_j = c - T M_j, with the closed loop T (n × n) from references to
-displacements. Neither c nor T is known exactly. Both are estimated at each harmonic from the model and from all runs:
+errors against the undelayed path have the amplitudes E_j = c - T M_j. T (n × n) is the closed loop from references to
+displacements, and c the error without corrections. Neither c nor T is known exactly. Both are estimated at each
+harmonic from the model and from all runs:
 
-- *The model's uncertainty* gives mean and covariance of T before any run: over plants whose gains, modes and delays
-  differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` represents effects that
-  no model describes.
-- *Each run* is a measurement of c - T M_j. Its noise is known from the differences between the periods of the run. A
-  linear minimum-variance estimate combines both (a Kalman filter with a constant state).
+- *The model's uncertainty* gives mean and covariance of T before any run, computed over plants whose gains, modes and
+  delays differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` represents
+  effects that no model describes.
+- *Each run* is a measurement of c - T M_j. The noise of this measurement is known from the differences between the
+  periods of the run. A linear minimum-variance estimate combines both sources (a Kalman filter with a constant state).
 
 The corrections of the next run minimise the expected square of its error,
 
     E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c],
 
-This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest, so that
-the lifted matrices are diagonal in the harmonics. The covariance of T acts as a weight on the change of the
-corrections. Where the model is uncertain, for example at a mode whose frequency is not well known, the steps are small,
-and they grow as the runs reduce the uncertainty. An error that does not exceed its noise is not learned (factor
-1 - σ²/|E|²).
+This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest. With
+periods, the lifted matrices are diagonal in the harmonics. The covariance of T acts as a weight on the change of the
+corrections. Where the model is uncertain, for example at a mode whose frequency is not well known, the steps are small;
+they grow as the runs reduce the uncertainty. An error is learned only as far as it exceeds its noise (factor 1 -
+σ²/|E|²).
 
 References
 ----------
@@ -58,20 +59,20 @@ from hysteresis_ros.recordings.dataset import Recording
 
 #: Assumed standard deviation of each entry of T due to effects that no model describes.
 UNSEEN = 0.05
-#: Assumed fraction of an error that does not follow c - T M, because hysteresis is not linear.
+#: Assumed fraction of an error that does not follow c - T M, because the hysteresis is not linear.
 NONLINEAR = 0.1
-#: An error is learned if its square exceeds this multiple of the variance of its noise; noise alone exceeds it in less
-#: than 2 % of the cases.
+#: An error is learned if its square exceeds this multiple of the variance of its noise. Noise alone exceeds the limit
+#: in less than 2 % of the cases.
 SIGNIFICANT = 4.0
-#: Number of harmonics on either side over which the noise of the runs is averaged.
+#: The noise of the runs is averaged over this number of harmonics on either side.
 SMOOTHED = 15
-#: Least number of periods of a run: one to settle, and two whose difference shows the noise.
+#: Smallest number of periods of a run: one for settling, and two whose difference shows the noise.
 FEWEST = 3
 #: Highest frequency that is learned, as a fraction of the sample rate.
 HIGHEST = 0.45
-#: Magnitude of a pole below which it is a mere delay, and distance within which poles count as equal.
+#: Magnitude below which a pole is a mere delay, and distance within which poles count as equal.
 DELAYING, EQUAL = 0.02, 1e-8
-#: Number of angles that are computed together.
+#: Number of angles that are computed at once.
 BLOCK = 4096
 
 
@@ -89,9 +90,10 @@ class Loops:
 
 
 def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Uncertainty) -> Loops:
-    """Return mean and covariance of the closed loop over stages within an uncertainty, at angles in the z plane.
+    """Return mean and covariance of the closed loop at angles in the z plane, over all stages within an uncertainty.
 
-    Gain and slope are drawn for each actuator, times for each mode of the structure, and delays for each actuator.
+    Each actuator has its own random gain, slope and delay, and each mode of the structure its own random factor on the
+    times.
     """
     random = np.random.default_rng(possible.seed)
     stage, count = parameters.stage, len(parameters.names)
@@ -135,16 +137,16 @@ def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Un
 
 
 def _slower(pole: complex, residue: np.ndarray, factor: float, z: np.ndarray) -> np.ndarray:
-    """Return the change of the response when a mode is slower by a factor, at the same static gain."""
+    """Return the change of the response when a mode becomes slower by a factor, with the same static gain."""
     moved = pole ** (1.0 / factor)
     change = (1.0 - moved) / (1.0 - pole) / (z - moved) - 1.0 / (z - pole)
     return change[:, np.newaxis, np.newaxis] * residue
 
 
 def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
-    """Return pole and residue, shape (q, m), of each mode, with equal poles combined.
+    """Return pole and residue, shape (q, m), of each mode; equal poles are combined.
 
-    A conjugate pair is represented by its pole above the real axis. Poles that are mere delays, and poles on the
+    Of a conjugate pair, only the pole above the real axis is returned. Poles that are mere delays, and poles on the
     negative real axis, are not modes in continuous time.
     """
     import scipy.linalg
@@ -164,7 +166,7 @@ def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
 
 
 def _acting(dynamics, z: np.ndarray) -> np.ndarray:
-    """Return the response of the delay of an actuator, shape (F,)."""
+    """Return the response of an actuator's delay, shape (F,)."""
     row, through = dynamics.acting
     model = dynamics.state_space
     return StateSpace(model.A, model.B, row[np.newaxis], np.array([[through]])).response(z)[:, 0, 0]
@@ -190,7 +192,7 @@ class Belief:
         return cls(np.einsum("fab,fib->fia", turn, mean), covariance)
 
     def given(self, correction, error, variance) -> Belief:
-        """Return the estimate after a run with these amplitudes, (F, n) each, and this variance of the errors."""
+        """Return the estimate after a further run, from its amplitudes, (F, n) each, and the variance of its errors."""
         inputs = np.concatenate([np.ones((len(correction), 1)), -correction], axis=1)[:, np.newaxis]
         # row by row: e_i = inputs · row_i + noise
         carried = np.einsum("fnij,fnj->fni", self.covariance, inputs.conj())
@@ -201,7 +203,7 @@ class Belief:
         return Belief(self.mean + gain * missing[:, :, np.newaxis], covariance)
 
     def step(self, correction, noise) -> np.ndarray:
-        """Return the change of corrections (F, n) of least expected error; errors below the noise are not corrected."""
+        """Return the change of the corrections (F, n) with the least expected error; errors below the noise stay."""
         mean, whole = self.mean, self.covariance
         square = np.einsum("fia,fib->fab", mean[:, :, 1:].conj(), mean[:, :, 1:])
         square += np.einsum("fiba->fab", whole[:, :, 1:, 1:])
@@ -220,12 +222,12 @@ class Trial:
     """Result of a run of a scan with fixed corrections, for all n axes."""
 
     correction: np.ndarray  #: shape (n, N) [m]
-    error: np.ndarray  #: shape (n, N); Mean error over the periods: path minus measurement [m].
+    error: np.ndarray  #: shape (n, N); Path minus measurement, averaged over the periods [m].
     variance: np.ndarray  #: shape (n, N // 2 + 1); Variance of ``numpy.fft.rfft`` of this error.
 
 
 def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
-    """Return the result of a run, without its first period."""
+    """Return the result of a run, without the periods in which it settles."""
     paths = scanned_paths(parameters)
     period = paths.shape[1]
     errors, first = [], 1
@@ -256,13 +258,13 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
     kernel = np.full(2 * SMOOTHED + 1, 1.0)
     weight = np.convolve(np.ones(spread.shape[1]), kernel, "same")
     smooth = np.array([np.convolve(row, kernel, "same") for row in spread]) / weight
-    # a single line may differ more from period to period than its neighbours
+    # the spread of a single line may be larger than that of its neighbours
     return Trial(np.asarray(correction, dtype=float), mean, np.maximum(smooth, spread / count))
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledLearning:
-    """Learning of all axes of a stage for the scan that it follows."""
+    """Learning of all axes of a stage for the scan of the stage."""
 
     parameters: StageParameters
     request: LearningRequest
@@ -272,7 +274,7 @@ class CoupledLearning:
 
     @classmethod
     def of(cls, parameters: StageParameters, request: LearningRequest) -> CoupledLearning:
-        """Prepare the learning of a stage; the request has ranges, bandwidth and largest correction."""
+        """Prepare the learning of a stage; ranges, bandwidth and largest correction are those of the request."""
         require_no_feedforward(parameters)
         paths, rate = scanned_paths(parameters), parameters.sample_rate
         period = paths.shape[1]
@@ -294,7 +296,7 @@ class CoupledLearning:
         )
 
     def first(self) -> np.ndarray:
-        """Return corrections for the first run, shape (n, N) [m], with the least expected error over all stages."""
+        """Return first-run corrections, shape (n, N) [m], with the least expected error over all possible stages."""
         lines = np.fft.rfft(self.paths, axis=1)
         wanted = lines[:, self.places].T
         mean = np.swapaxes(self.loops.mean, 1, 2).conj()
@@ -304,7 +306,7 @@ class CoupledLearning:
         return np.fft.irfft(found, self.paths.shape[1], axis=1)
 
     def after(self, trials: Sequence[Trial]) -> np.ndarray:
-        """Return corrections for the run after these, shape (n, N) [m]."""
+        """Return corrections for the next run after these runs, shape (n, N) [m]."""
         belief: Belief | None = None
         for one in trials:
             given = np.fft.rfft(one.correction, axis=1)[:, self.places].T
@@ -320,7 +322,7 @@ class CoupledLearning:
         return np.fft.irfft(lines, self.paths.shape[1], axis=1)
 
     def learned(self, corrections: np.ndarray) -> dict[str, Learned]:
-        """Return the corrections of each axis in the form of its file."""
+        """Return the corrections of each axis in the form in which its file stores them."""
         step = 1.0 / self.parameters.sample_rate
         return {
             name: Learned(len(own) * step, step, own, axis.generator.initial_setpoint + path)
@@ -330,7 +332,7 @@ class CoupledLearning:
         }
 
     def chosen(self, corrections: np.ndarray, files: dict[str, str]) -> dict[str, LearningParameters]:
-        """Return the learning parameters of all axes, which apply the corrections in these files."""
+        """Return for each axis the learning parameters that apply the correction in its file (``files``)."""
         found = {}
         for name, axis, own in zip(self.parameters.names, self.parameters.axes, corrections, strict=True):
             low, high = reachable_displacements(axis)
@@ -378,7 +380,7 @@ def applied(parameters: StageParameters) -> np.ndarray:
 def coupled_learning_file(
     configuration: Configuration, chosen: dict[str, LearningParameters], runs: Sequence[str]
 ) -> str:
-    """Return the text of the parameter file whose axes apply the corrections in their files."""
+    """Return the text of the parameter file in which each axis applies the correction in its file."""
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     learned = f"learned from {', '.join(runs)}" if runs else "those of the coupled model, before any run"
     header = (
@@ -393,7 +395,7 @@ def coupled_learning_file(
 def learned_from(
     configuration: Configuration, request: LearningRequest, runs: Sequence[Recording]
 ) -> tuple[CoupledLearning, np.ndarray, list[Trial]]:
-    """Return the learning of a stage, its corrections after these runs in their order, and the result of each run."""
+    """Return the learning of a stage, its corrections after the runs in the given order, and the result of each run."""
     parameters = StageParameters.from_configuration(configuration)
     learning = CoupledLearning.of(parameters, request)
     trials = []
@@ -404,13 +406,13 @@ def learned_from(
 
 
 def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[str]:
-    """Return the printed table: the results of each run for each axis."""
+    """Return the printed table of the results of each run for each axis."""
     rows = []
     for number, one in enumerate(trials, start=1):
         period = one.error.shape[1]
         for name, error, variance in zip(parameters.names, one.error, one.variance, strict=True):
             rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
-            # rfft returns half of the spectrum, so all amplitudes except that of the mean count twice
+            # rfft returns only half of the spectrum, so all amplitudes except that of the mean count twice
             noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
             rows.append(
                 f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of which {1e9 * noise:.3g} nm is noise"

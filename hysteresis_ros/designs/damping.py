@@ -10,11 +10,11 @@
 """Design of a damping filter for a model: the filter that permits the fastest outer loop, and its performance.
 
 For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
-of ``pid``, and its largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g,
-|1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The worst result on several plants counts: on the
-model, and on plants with lower and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the
-plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is
-refined around the best filter; the result has four digits.
+of ``pid``, and the largest gain g of the PID follows in closed form on a grid of frequencies: with X the loop for g =
+1, |1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The filter is judged by its worst result on
+several plants: the model, and plants with lower and higher resonances. The inner loop alone, and the loop with both
+feedbacks, cut at the plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are
+tried on a grid that is refined around the best filter; the result has four digits.
 
 References
 ----------
@@ -50,7 +50,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_me
 from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.sensor import ForceParameters
 
-#: Target M_s of a search, for the loop of the law and for the loop cut at the plant.
+#: M_s at which a search aims, for the loop of the law and for the loop cut at the plant.
 SENSITIVITY = 1.9
 #: Default relative uncertainty of the frequencies of resonances.
 RESONANCE = 0.1
@@ -59,12 +59,13 @@ POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
 #: Number of frequencies of the grid on a linear and on a logarithmic scale, and around each resonance.
 GRID, AROUND = 120, 41
-#: One of so many frequencies of the grid is in the first test of a filter.
+#: Step with which frequencies are taken from the grid for the first test of a filter.
 FEW = 6
-#: Smallest damping ratio of any mode of the inner loop. Less is allowed if the ratio is at least the second number
-#: times that of the plant's mode.
+#: Smallest damping ratio of any mode of the inner loop. A smaller ratio is allowed if it is at least MUCH times that of
+#: the plant's mode.
 WELL, MUCH = 0.02, 5.0
-#: Factor on a speed that was computed with rounded poles, above which it may be as fast as computed exactly.
+#: Allowance for rounded poles: a filter is rejected early only if its computed speed, times this factor, is below the
+#: best speed so far.
 CLEARLY = 1.001
 #: Damping ratio above which a mode needs no damping filter.
 DAMPED = 0.7
@@ -86,7 +87,7 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForcePar
 def damping_plants(
     dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the plants for the evaluation of a damping: the model, and plants with all times shorter and longer.
+    """Return the plants on which a damping is judged: the model, and plants with all times shorter and longer.
 
     Units: ``sample_time`` [s].
     """
@@ -102,14 +103,14 @@ def design_damping(
     force: ForceParameters | None = None,
     peak: float = REQUIRED.sensitivity_peak,
 ) -> DampingParameters:
-    """Return the damping filter of a kind for a model; a lower ``peak``, its largest M_s, gives a weaker damping.
+    """Return the damping filter of a kind for a model; a lower ``peak`` (largest M_s) gives a weaker damping.
 
     Units: ``sample_time`` [s].
     """
     search = _Search(kind, dynamics, sample_time, plants, force, peak)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    # first search filters that tolerate one more sample of delay; without success, filters for the modelled delay
+    # first search for filters that tolerate one more sample of delay; if there are none, for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
@@ -124,7 +125,7 @@ def design_damping(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Points of the unit circle, and the response of each plant there, of shape (N, outputs)."""
+    """Points of the unit circle, and the response of each plant at these points, shape (N, outputs)."""
 
     z: np.ndarray
     responses: list[np.ndarray]
@@ -145,11 +146,11 @@ class _Search:
         self.few = _Points(z[::FEW], [P[::FEW] for P in self.all.responses])
 
     def damping(self, point) -> DampingParameters:
-        """Return the parameters of a point."""
+        """Return the parameters of the filter at a point of the search."""
         return replace(DampingParameters(), type=self.kind.name, **{self.kind.name: self.kind.chosen(point, self.mode)})
 
     def speed(self, point, late: float, least: float) -> float:
-        """Return the integral gain [1/s] of the fastest PID around the filter of a point.
+        """Return the integral gain [1/s] of the fastest PID around the filter at a point of the search.
 
         Units: ``late`` [samples].
         """
@@ -163,8 +164,8 @@ class _Search:
         poles = found.poles
         if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
             return 0.0
-        # most filters are much slower than the best one, which few frequencies and rounded poles tell too: all
-        # frequencies and exact poles take much longer
+        # most filters are much slower than the best one; a few frequencies and rounded poles suffice to reject them,
+        # and take much less time than all frequencies and exact poles
         outer, Ki = self._outer(slowest_poles(found, poles.tolist()))
         for largest in (self._bound, self._gain):
             if not largest(loop, outer) * Ki * CLEARLY > least:
@@ -189,16 +190,16 @@ class _Search:
         return [(1.0 - back * (P * loop.seen[0]).sum(axis=1), forward * P[:, 0]) for P in points.responses]
 
     def _bound(self, loop: InnerLoop, outer: StateSpace) -> float:
-        """Return a gain that is at least the one of :meth:`_gain`: it is the largest at few frequencies."""
+        """Return an upper bound of the gain of :meth:`_gain`, computed at a few frequencies only."""
         loops = self._loops(loop, outer, self.few)
         if max(float(np.max(1.0 / np.abs(left))) for left, _ in loops) > self.peak:
             return 0.0
         return min(_largest(way / left, self.aimed, np.inf) for left, way in loops)
 
     def _gain(self, loop: InnerLoop, outer: StateSpace) -> float:
-        """Return the largest gain of an outer controller on all plants; smaller if the combined loop would exceed M_s.
+        """Return the largest gain of an outer controller on all plants, reduced if the combined loop would exceed M_s.
 
-        If the M_s of the inner loop is too large, no gain of the outer controller helps.
+        The result is 0 if the M_s of the inner loop alone is too large, because no outer controller can reduce it.
         """
         loops = self._loops(loop, outer, self.all)
         if max(float(np.max(1.0 / np.abs(left))) for left, _ in loops) > self.peak:
@@ -226,7 +227,7 @@ class _Search:
         return True
 
     def _damps(self, poles) -> bool:
-        """Return whether every mode of an inner loop is well damped, or much better than the mode of the plant."""
+        """Return whether every mode of an inner loop is well damped, or much better damped than the plant's mode."""
         left = modes(poles, self.sample_time)
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
@@ -256,7 +257,7 @@ class _Search:
 
 
 def _largest(X, peak: float, unlimited: float = 0.0) -> float:
-    """Return the largest g up to which |1 + g X| ≥ 1/peak at all points, or ``unlimited`` where every g is."""
+    """Return the largest g up to which |1 + g X| ≥ 1/peak at all points; ``unlimited`` if this holds for every g."""
     square, room = np.abs(X) ** 2, 1.0 - 1.0 / peak**2
     inside = X.real**2 - room * square
     hit = (X.real < 0.0) & (inside > 0.0)
@@ -283,7 +284,7 @@ def _spread(side, count: int) -> np.ndarray:
 
 
 def _around(box, point):
-    """Return the box between the grid neighbours of a point, within its present box."""
+    """Return the box between the grid neighbours of a point, limited to the present box."""
     found = []
     for side, value in zip(box, point, strict=True):
         grid = _spread(side, POINTS[len(box)])
@@ -294,19 +295,19 @@ def _around(box, point):
 
 #: A damping counts as of little use if it raises the bandwidth by less than this factor.
 LITTLE = 1.2
-#: A law that passes the reference on, so that the loop is the inner loop alone.
+#: A law that only passes the reference on, so that the inner loop alone remains.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
 
 
 @dataclass(frozen=True, eq=False)
 class PlantsAround:
-    """Plants for the evaluation of a damping."""
+    """Plants on which a damping is judged."""
 
     plants: tuple[PossiblePlant, ...]  #: Plants without damping, the model first.
     resonance: float  #: Relative deviation of the resonances of the other plants.
 
     def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
-        """Return the plants with the damping of a controller around each.
+        """Return the plants, each with the damping of a controller closed around it.
 
         Units: ``sample_time`` [s].
         """
@@ -316,13 +317,13 @@ class PlantsAround:
 
 @dataclass(frozen=True, eq=False)
 class DampedDesign:
-    """A damping with a controller around it, on the model and on plants around the model."""
+    """A damping and the controller around it, judged on the model and on plants around the model."""
 
     damping: DampingParameters
     before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
-    reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop, on each plant, the model first.
-    #: inner, outer, whole: Margins on each plant: of the inner loop alone, of the law on the damped plant, and of both
-    #: loops, cut at the plant.
+    reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop on each plant, the model first.
+    #: inner, outer, whole: Margins on each plant: of the inner loop alone, of the law's loop on the damped plant, and
+    #: of both loops, cut at the plant.
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
@@ -330,7 +331,7 @@ class DampedDesign:
     undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if there is no such design.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the law's loop or of both loops, on the model or with other resonances."""
+        """Return the unmet requirements of the law's loop or of both loops, on any of the plants."""
         for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
             for number, margins in enumerate(found):
                 said = margins.misses()
@@ -341,7 +342,7 @@ class DampedDesign:
 
     @property
     def times(self) -> float:
-        """Ratio of the bandwidth to that of the same design without damping; infinite if that design does not exist."""
+        """Ratio of the bandwidth to that of the same design without damping; infinite if there is no such design."""
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:

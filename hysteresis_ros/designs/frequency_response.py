@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The frequency response of an axis: runs that measure it, and plant, loop and margins from a run or a recording."""
+"""Frequency response of an axis: runs that measure it; plant, loop and margins from a run or a recording."""
 
 from __future__ import annotations
 
@@ -52,19 +52,19 @@ from hysteresis_ros.units import quantity, readable
 
 #: Default peak of the excitation, as a fraction of the range.
 AMPLITUDE = 0.05
-#: Dwell time at the operating point before and after the excitation, in which creep decays [s].
+#: Time at the operating point before and after the excitation, in which creep decays [s].
 WAIT = 1.0
 
 
 @dataclass(frozen=True)
 class ResponseRequest:
-    """Request of a measurement."""
+    """Options of a measurement."""
 
     experiment: Experiment
     loop: str = "open"  #: ``open`` or ``closed``.
     at: str | None = None  #: Point of excitation: ``voltage``, ``command`` or ``reference``.
-    #: amplitude, offset: Peak of the excitation and operating point, with a unit, or as a fraction of the range without
-    #: a unit. By default :data:`AMPLITUDE`, and the middle.
+    #: amplitude, offset: Peak of the excitation, and operating point. A number without a unit is a fraction of the
+    #: range. By default :data:`AMPLITUDE` and the middle of the range.
     amplitude: str | None = None
     offset: str | None = None
 
@@ -80,7 +80,7 @@ class ResponseRequest:
 def response_run(
     configuration: Configuration, namespace: str | None, asked: ResponseRequest, path
 ) -> tuple[AxisParameters, Plan]:
-    """Return the excited axis, and the plan of the excitation in its recording."""
+    """Return the axis with the excitation, and the plan that describes the excitation in the recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     generator = axis.require_generator(
         f"{configuration.source}: the response of a walking motor cannot be measured; measure its extender alone, in a "
@@ -130,13 +130,13 @@ def around(samples, peak: float, middle: float, rest: float, rate: float, plan: 
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
-    """Return the linear controller of an axis, including its damping, and its linear model of the plant."""
+    """Return an axis' linear controller, including its damping, and the controller's linear model of the plant."""
     sample_time = 1.0 / axis.motion_controller.sample_rate
     return whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)
 
 
 def _prefilter(axis: AxisParameters, sample_time: float):
-    """Return the amplitude of the reference at each frequency for a command of amplitude 1."""
+    """Return the function that maps frequencies to the amplitudes of the reference for a command of amplitude 1."""
     controller, _ = measured_loop_parts(axis)
 
     def shape(frequencies):
@@ -147,7 +147,7 @@ def _prefilter(axis: AxisParameters, sample_time: float):
 
 
 def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_range: float, begin: float) -> float:
-    """Return an option's value in the unit of the excitation; a number without unit is a fraction of the range."""
+    """Return the value of an option in the unit of the excitation; a number without unit is a fraction of the range."""
     span = ends[1] - ends[0]
     if text is None:
         return begin + part_of_range * span
@@ -165,7 +165,7 @@ def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_r
 
 
 def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
-    """Refuse an excitation whose response is below the sensor's noise in the file."""
+    """Refuse an excitation with a response smaller than the sensor noise given in the file."""
     noise = axis.plant_simulator.sensor.noise
     if axis.plant_simulator.driver or axis.plant_simulator.external_plant or not noise > 0.0:
         return
@@ -190,7 +190,7 @@ def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
 
 
 def _configured(configuration, loop: str, place: str, path: str, limits, gain: float, rest: float) -> Configuration:
-    """Return the configuration of the measurement."""
+    """Return the configuration with which the measurement runs."""
     if place == "voltage":
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
         return driven(configuration, limits, gain, waveform)
@@ -198,12 +198,12 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if loop == "open":
         configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
-        # the amplitudes of the reference are computed for the law without feedforward
+        # the amplitudes of the reference were computed for the law without feedforward
         configuration = configuration.override("motion_controller", **UNFED)
     return configuration
 
 
-#: Levels that are printed in dB relative to the response.
+#: Levels that are printed relative to the response, in dB.
 LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
 
@@ -212,17 +212,17 @@ class AxisResponse:
     """The measured response of an axis."""
 
     plan: Plan
-    #: Response from voltage or command to the measured displacement; for a closed loop with an unknown controller, from
-    #: reference − measured.
+    #: Response from voltage or command to the measured displacement. For a closed loop with an unknown controller, the
+    #: response starts from reference − measured.
     plant: Analysis
     loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.
-    model: np.ndarray | None = None  #: shape (F,); Controller's model of the plant, at the lines.
+    model: np.ndarray | None = None  #: shape (F,); Response of the controller's model of the plant at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,)
-    margins: Margins | None = None  #: Margins of the loop with the model.
+    margins: Margins | None = None  #: Margins of the loop of the model.
 
     @property
     def figures(self) -> dict:
-        """The figures that have a value, by names that contain their units."""
+        """The available figures, by names that contain their units."""
         response = self.plant.response
         found: dict = {
             "excitation": self.plan.kind,
@@ -267,7 +267,7 @@ class AxisResponse:
         return found
 
     def lines(self) -> list[str]:
-        """Return the table that is printed."""
+        """Return the printed table."""
         response, unit = self.plant.response, self.plant.response.input_unit
         kind = {"open": f"{self.plan.at} → displacement", "closed": f"closed loop, excited at the {self.plan.at}"}
         rows = [
@@ -306,7 +306,7 @@ class AxisResponse:
 
 
 def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None = None) -> AxisResponse:
-    """Return the response of an axis from a recording of its excitation."""
+    """Return the response of an axis, from a recording with an excitation."""
     sample_time, y = recording.sample_time, recording["measured"]
     if plan.loop == "open":
         u = recording[plan.at]
@@ -314,7 +314,7 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
     else:
         reference = recording["reference"]
         if recording.has("seen"):
-            # the loop is closed through the controller's input, which may be later than the measurement
+            # the loop is closed through the controller's input, which may be delayed relative to the measurement
             y = np.where(np.isfinite(recording["seen"]), recording["seen"], y)
         u = recording["command"] if axis is not None else reference - y
         plant = analyse(plan, sample_time, u, y, reference, "m")
@@ -339,12 +339,12 @@ def _require_finite(plant: Analysis) -> None:
 
 
 def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
-    """Return the response together with that of the model of the axis."""
+    """Return the response together with the response of the axis' model."""
     controller, plant = measured_loop_parts(axis)
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # conversely, the model gets the measured gain
+    # conversely, the model is scaled to the measured gain
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
@@ -354,7 +354,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the path of the file, next to a recording, that contains the plan of its excitation."""
+    """Return the path of the file next to a recording that contains the plan of the excitation."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
@@ -377,7 +377,7 @@ def recorded_response(
     period: float | None = None,
     kind: str | None = None,
 ) -> AxisResponse:
-    """Return the response of the axis of a recording."""
+    """Return the response of the axis in a recording."""
     axis = _axis(recording)
     if plan is None:
         feedback = axis is not None and axis.motion_controller.law.feedback
@@ -396,7 +396,7 @@ def recorded_response(
 
 
 def _axis(recording: Recording) -> AxisParameters | None:
-    """Return the axis of a recording; None without a valid configuration."""
+    """Return the axis of a recording; None if the recording has no valid configuration."""
     if not recording.configuration:
         return None
     try:

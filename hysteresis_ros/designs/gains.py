@@ -7,18 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned by a simulation.
+"""Gains of any controller: designed from a model for a bandwidth, robust to uncertainty, or tuned by a simulation.
 
 Every law declares its designs (:mod:`hysteresis_ros.control.law`); this module contains the common part.
 
-All plants are drawn before the design, so equal seeds give equal gains. The search uses the model and the corners of
-its uncertainty; the plant with the worst violation of the requirements is added until all plants meet them.
+All random plants are drawn before the design, so equal seeds give equal gains. The search starts with the model and the
+corners of its uncertainty. Then the plant with the worst violation of the requirements is added to the search, until
+all plants meet them.
 
-The tuning never uses the simulated plant of the file, which a design must not know. Its plant consists of the
-compensator's hysteresis, creep and limits and of the dynamics and preload of the controller's model, without noise. The
-inverse of this hysteresis is perfect, so little more than linear dynamics and limits remains, and the criterion alone
-would drive the gains to the stability limit. Therefore gains that violate the margins of every design, or a delay
-margin of 1.3 samples, have infinite cost.
+The tuning never uses the simulated plant of the file, because a design must not know it. It uses a plant that consists
+of the compensator's hysteresis, creep and limits, and of the dynamics and preload of the controller's model, without
+noise. The inverse of this hysteresis is perfect, so that little more than linear dynamics and limits remains; the
+criterion alone would drive the gains to the stability limit. Therefore the cost is infinite for gains that violate the
+margins required of every design, or a delay margin of 1.3 samples.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def design_gains(
     aimed: Requirements = AIMED,
     plants: tuple[PossiblePlant, ...] = (),
 ) -> Designed:
-    """Return the controller of the given name for the model in ``parameters``, or for the damped plant.
+    """Return the controller of the given name for the model in ``parameters``, with its damping if there is one.
 
     Units: ``sample_time`` [s], ``bandwidth`` [Hz].
     """
@@ -96,26 +97,26 @@ def design_gains(
     return Designed(found, margins(found, sample_time))
 
 
-#: Fraction of the allowed M_s at which a search aims, because its grid of frequencies is coarser than that of the
+#: A search aims at this fraction of the allowed M_s, because its grid of frequencies is coarser than that of the
 #: margins.
 COARSE = 0.99
 #: Maximum number of plants that are added to the search.
 ROUNDS = 8
-#: Number of plants per job, and approximate computing time of the margins on one plant [s].
+#: Number of plants per parallel job, and approximate computing time of the margins on one plant [s].
 TOGETHER, SECONDS = 50, 2e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """Margins of a loop on all drawn plants."""
+    """Margins of a loop on all plants within an uncertainty."""
 
     uncertainty: Uncertainty
     plants: tuple[PossiblePlant, ...]  #: The model first.
-    margins: tuple[Margins, ...]  #: Margins on each plant; the delay margin counts from the delay of the model.
+    margins: tuple[Margins, ...]  #: Margins on each plant; delay margins are in addition to the model's delay.
 
     @property
     def worst(self) -> int:
-        """Index of an unstable plant, or of the plant with the largest M_s."""
+        """Index of the first unstable plant; if all are stable, of the plant with the largest M_s."""
         sizes = [found.sensitivity_peak if found.stable else float("inf") for found in self.margins]
         return sizes.index(max(sizes))
 
@@ -156,7 +157,7 @@ def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robu
 
 
 def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
-    """Return the plants, each with the inner damping loop of the parameters closed."""
+    """Return the plants within an uncertainty, each with the inner damping loop of the parameters closed."""
     dynamics = parameters.model.dynamics
     around = closing(parameters.damping, dynamics, sample_time, parameters.model.force)
     drawn = drawn_plants(dynamics, sample_time, uncertainty, acting=parameters.damping.source == FORCE)
@@ -188,7 +189,7 @@ def design_robust(
     *,
     aimed: Requirements = REQUIRED,
 ) -> tuple[Designed, Robustness]:
-    """Return gains that meet the requirements on every drawn plant, with their margins.
+    """Return gains that meet the requirements on every plant within the uncertainty, and their margins.
 
     Units: ``sample_time`` [s].
     """
@@ -205,7 +206,7 @@ def design_robust(
     return found, judged
 
 
-#: Criteria: integral of absolute, squared, and time-weighted absolute error, with time from the start of the run.
+#: Criteria: integral of the absolute, squared, or time-weighted absolute error; time counts from the start of the run.
 CRITERIA = ("iae", "ise", "itae")
 #: Iterations and tolerance of the search.
 ITERATIONS = 200
@@ -216,17 +217,17 @@ TOLERANCE = 1e-3
 class Tuned:
     """Result of :func:`tune`."""
 
-    gains: Parameters  #: Best gains, as the law's group of parameters.
+    gains: Parameters  #: Best gains, as a parameter group of the law.
     criterion: str  #: ``iae``, ``ise`` or ``itae``.
     before: float  #: before, after: Criterion at the start and at the end [m s, m² s or m s²].
     after: float
-    #: shape (iterations + 1, n + 1); The n gains that the law declares and the criterion after each iteration.
+    #: shape (iterations + 1, n + 1); The n gains declared by the law, and the criterion, after each iteration.
     history: np.ndarray
-    converged: bool  #: False: the limit of iterations was reached, and the gains are the best found.
+    converged: bool  #: False: the limit of iterations was reached; the gains are the best ones found.
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:
-    """Return the axis with a plant made of the models of compensator and controller."""
+    """Return the axis with a plant that is built from the models of its compensator and controller."""
     compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
     plant = replace(
         parameters.plant_simulator,
@@ -243,7 +244,7 @@ def believed_axis(parameters: AxisParameters) -> AxisParameters:
 
 
 def criterion_of(name: str, error, sample_time: float) -> float:
-    """Return a criterion of an error.
+    """Return the criterion ``name`` of an error.
 
     Units: ``error`` [m], ``sample_time`` [s].
     """
@@ -266,7 +267,7 @@ def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -
 
 
 def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
-    """Return the reference, delayed by its preview, minus the true displacement [m]."""
+    """Return the reference, delayed by the preview, minus the true displacement [m]."""
     preview = control.feedforward.preview
     wanted = signals["reference"][: len(signals["reference"]) - preview]
     return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
@@ -318,7 +319,7 @@ def tune(
         if not judge(*tuning.loop(own, sample_time), sample_time=sample_time, with_bandwidth=False).meets(sought):
             return np.inf
         try:
-            # the loop subtracts the preload's offset before the law
+            # the loop subtracts the preload's offset before it calls the law
             axis.controller.install(controller_block(candidate.without_preload, sample_time))
         except ParameterError:
             return np.inf

@@ -49,40 +49,41 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Default set of possible plants: 5 % uncertainty, 3 % more for all times because of the identification, residual
-#: hysteresis after the inverse, and a fraction of a sample of delay.
+#: Default set of possible plants: 5 % uncertainty of the gain; 3 % more than that for all times, because of the
+#: identification; residual hysteresis after the inverse; and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and the part of the command lost to saturation above which learning pauses, as fractions of the
-#: stroke.
+#: Largest correction, and largest difference between requested and applied command (saturation) at which learning goes
+#: on, as fractions of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
+#: Initial learning gain, number of periods after which the gain falls as 1/n, and its lower limit.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Number of periods after which the error of a bandwidth is predicted, and numbers of periods without learning for it.
+#: Number of periods of learning after which the error is predicted, and numbers of periods of the runs without learning
+#: that the prediction needs.
 LEARNED, RUNS = 20, (6, 24, 96)
-#: Largest number of samples of all these runs but the first.
+#: Largest number of samples of any of these runs except the first.
 LONGEST_RUN = 1_000_000
-#: Least and largest number of samples of an impulse response, and the largest fraction of it that may remain at the
-#: end.
+#: Smallest and largest number of samples of an impulse response, and largest fraction of the response that may remain
+#: at its end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
 #: Largest number of frequencies.
 MOST = 2**13
-#: Fraction of the response at which a closed loop counts as settled.
+#: A closed loop counts as settled when at most this fraction of its response remains.
 SETTLED = 0.02
-#: Number of samples before an impulse, after which flags and counters have their steady values.
+#: Number of samples before an impulse, in which flags and counters reach their steady values.
 BEFORE = 4
-#: Relative uncertainty of the response above which nothing is learned: contraction would be slow at best.
+#: Relative uncertainty of the response above which nothing is learned: at best, the error would contract slowly.
 LEARNABLE = 0.5
 #: Number of directions (phases) in which a relative uncertainty of the response is tried.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 
-#: Kind of learning that learns the corrections of all axes of a stage together, from run to run.
+#: Kind of learning in which the corrections of all axes of a stage are learned together, from run to run.
 COUPLED = "coupled"
 
 
 @dataclass(frozen=True)
 class LearningRequest:
-    """Request of a design."""
+    """Options of a design of learning."""
 
     kind: str  #: ``inversion``, ``norm_optimal``, ``repetitive`` or ``coupled``.
     period: float | None = None  #: Period of the reference [s]; by default that of the configured waveform.
@@ -92,7 +93,7 @@ class LearningRequest:
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
 
-#: Command-line options of a design of the learning, without those of the ranges; and options that only learning has.
+#: Command-line options of a design of learning except the ranges; and the options that no other design has.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
@@ -145,11 +146,11 @@ class LearningDesign:
     filters: Filters
     response: Response  #: The closed loop of the design.
     sample_time: float  #: [s]
-    #: Whether the noise of the sensor had no part in the bandwidth, because the reference is unknown.
+    #: Whether the bandwidth was chosen without regard to the noise of the sensor, because the reference is unknown.
     unweighed: bool = False
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return the factor per period of the slowest part of the error, at the initial gain."""
+        """Return the factor per period on the slowest part of the error, at the initial learning gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -162,7 +163,7 @@ class MeasuredPlant:
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
     ratio: (
         np.ndarray
-    )  #: shape (F,); Ratio of the measured response to the model's; outside the lines, the ratio of the nearest line.
+    )  #: shape (F,); This ratio at the lines; outside their range, at() uses the ratio of the nearest line.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
@@ -179,8 +180,8 @@ def closed_loop(
 ) -> Response:
     """Return the closed loop from reference to displacement, for the model and for possible plants.
 
-    The responses of feedforward, law and other blocks of the loop to an impulse of the reference and of the measurement
-    are u_r and u_d. On another plant P' the closed loop is T' = P' u_r / (1 − u_d (P' − P)).
+    u_r and u_d are the commands of the controller (feedforward, law and all other blocks) after an impulse of the
+    reference and of the measurement. On another plant P' the closed loop is T' = P' u_r / (1 − u_d (P' − P)).
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
     model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
@@ -216,7 +217,11 @@ def closed_loop(
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
-    """Return the commands, shape (count,), after an impulse, per unit of the impulse; ``model`` is the linear plant."""
+    """Return the closed loop's commands, shape (count,), after an impulse, divided by :data:`TINY`.
+
+    ``reference`` and ``measured`` are the sizes of the impulse in the reference and in the measurement: :data:`TINY` in
+    one of them, 0 in the other. ``model`` is the linear plant.
+    """
     control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
     resting = resting.law.near_rest(resting)
@@ -230,7 +235,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
     for k in range(count):
         displacement, acting = C @ x
         displacement += measured
-        # the force in the stack decreases with the displacement, and its sensor removes the slow part
+        # the force in the stack decreases with the displacement, and the force sensor removes its slow part
         pressed = force.whole * acting - force.stack_stiffness * displacement - slow
         slow += slow_part * pressed
         commands[k] = answer(laws, arrays, displacement, reference, pressed)
@@ -276,7 +281,7 @@ def design_learning(
 
 
 def with_known_noise(axis: AxisParameters, configuration: Configuration) -> AxisParameters:
-    """Return an axis whose sensor has the noise that an identification has found, if the sensor's is not given."""
+    """Return an axis with the sensor noise that an identification has found, unless the sensor has a noise already."""
     found = next((values for name, values in configuration.entries if name == SECTION), {}).get("metrics.noise_rms_m")
     plant = axis.plant_simulator
     if plant.sensor.noise or not isinstance(found, float) or not 0.0 < found < np.inf:
@@ -287,13 +292,13 @@ def with_known_noise(axis: AxisParameters, configuration: Configuration) -> Axis
 def expected_error(
     axis: AxisParameters, possible: Uncertainty, loop: Response, period: int
 ) -> Callable[[Filters], float] | None:
-    """Return a function that predicts the RMS error [m] after :data:`LEARNED` periods of learning with filters.
+    """Return a function that predicts the RMS error [m] after :data:`LEARNED` periods of learning with given filters.
 
-    None if the sensor has no noise, or the reference of the axis does not repeat with the period: then nothing is
-    lost with the highest bandwidth, or unknown. What repeats without learning is that of a run of the axis on its own
-    plant; errors of the inverse's model, and those of a plant with another linear response, are added as the ranges
-    of the possible plants state them. Learning converges to (1 − Q)/(1 − Q + G T) of it, and adds the noise that it
-    has averaged.
+    Return None if the sensor has no noise, because then the highest bandwidth loses nothing, or if the reference of the
+    axis does not repeat with the period, because then the error is unknown. The repeating error without learning is
+    taken from a run of the axis on its own plant. Errors of the inverse's model, and of a plant with another linear
+    response, are added according to the ranges of the possible plants. Learning converges to (1 − Q)/(1 − Q + G T) of
+    the repeating error, and adds the part of the noise that its averaging leaves.
 
     Units: ``period`` [samples].
     """
@@ -335,14 +340,14 @@ def expected_error(
 
 
 def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the spectra of reference and measured error of a period without learning and noise, shape (N // 2 + 1,).
+    """Return the spectra of reference and measured error in a period without learning and noise, shape (N // 2 + 1,).
 
-    None if the reference rests, or does not repeat with the period.
+    None if the reference is at rest, or does not repeat with the period.
     """
     plant, node = axis.plant_simulator, axis.motion_controller
     silent = replace(plant, sensor=replace(plant.sensor, noise=0.0, resolution=0.0))
     made = Axis(replace(axis, plant_simulator=silent, motion_controller=replace(node, learning=LearningParameters())))
-    for periods in RUNS:  # the axis first approaches its reference
+    for periods in RUNS:  # longer runs if the axis is still approaching its reference
         if periods > RUNS[0] and periods * period > LONGEST_RUN:
             break
         run = made.run(made.default_setpoints(periods * period))
@@ -354,15 +359,15 @@ def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray
 
 
 def settling(loop: Response) -> int:
-    """Return the settling time of the closed loop with the model after a step [samples]."""
+    """Return the settling time of the model's closed loop after a step [samples]."""
     answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
     return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
 
 
 def knocked(loop: Response) -> int:
-    """Return the time in which the closed loop with the model recovers from one wrong sample of the voltage [samples].
+    """Return the time in which the model's closed loop recovers from one wrong sample of the voltage [samples].
 
-    The response is compared with its largest value.
+    It has recovered when the response stays below :data:`SETTLED` of its largest value.
     """
     assert loop.pushed is not None
     answer = np.abs(np.fft.irfft(loop.pushed))
@@ -409,7 +414,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
 
 
 def periods_to(rate: float, part_left: float = 0.1) -> int:
-    """Return the number of periods in which an error falls to ``part_left``, for its factor ``rate`` per period."""
+    """Return the number of periods in which an error falls to ``part_left``; ``rate`` is its factor per period."""
     return math.ceil(math.log(part_left) / math.log(rate))
 
 

@@ -7,12 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Filters of the learned correction for a closed loop: three designs, and the contraction of the error.
+"""Filters of the learned correction for a given closed loop: three designs, and the contraction of the error.
 
-T is the closed loop from reference to measured displacement for the model, T_p the closed loop for another possible
-plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at
-which |Q − G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on
-all plants; or, where noise and repeated error are known, the lower one that leaves least of both. ε is :data:`UNSEEN`.
+T is the closed loop from reference to measured displacement for the model, T_p the same for another possible plant.
+From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at which |Q −
+G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all
+plants; if noise and repeating error are known, it chooses the lower bandwidth that leaves the least error. ε is
+:data:`UNSEEN`.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -45,20 +46,20 @@ from hysteresis_ros.models.linear_algebra import rounded
 MARGIN = 0.1
 #: ε: uncertainty of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15
-#: Number of taps on each side of the middle of Q, if the period is long enough; G has as many taps as Q.
+#: Number of taps of Q on each side of the middle tap, if the period is long enough; G has as many taps as Q.
 HALF = 64
 #: Bandwidths that are tried, as fractions of the sample rate: highest, factor from one to the next, lowest.
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
 #: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02
-#: Target distance of the contraction factor below 1 in the notches of Q, larger because truncation of the filters
-#: reduces it.
+#: The contraction factor in the notches of Q should be this far below 1; the distance is larger than MARGIN, because
+#: truncation of the filters reduces it.
 DIP = 0.15
-#: Iterations of Lawson.
+#: Number of iterations of Lawson's algorithm.
 ITERATIONS = 60
-#: Norm-optimal: μ, and the exponent with which λ rises.
+#: Norm-optimal design: μ, and the exponent with which λ rises with the frequency.
 CHANGE, STEEPNESS = 0.2, 16
-#: Repetitive: gains, and the longest phase lead [samples].
+#: Repetitive design: gains that are tried, and the longest phase lead [samples].
 GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
 #: Number of frequencies for the choice of gain and phase lead.
 COARSE = 400
@@ -77,26 +78,27 @@ class Response(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Filters:
-    """Filters with their contraction."""
+    """Filters and their contraction."""
 
-    kind: str  #: Design.
+    kind: str  #: Name of the design.
     error: np.ndarray  #: Taps of G, from the largest lead on.
     lead: int  #: Lead of the first tap [samples].
     robustness: np.ndarray  #: Taps of Q: the middle tap, then the taps on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
-    contraction: float  #: Largest |Q − G T_p| + ε |G| over all frequencies and plants.
+    contraction: float  #: Largest |Q − G T_p| + ε |G| over all frequencies and possible plants.
     nominal: float  #: The same for the model alone.
     worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
-    #: Highest bandwidth that contracts, as a fraction of the sample rate, if a lower one leaves less error; else 0.
+    #: Highest contracting bandwidth, as a fraction of the sample rate, if ``bandwidth`` is lower because it leaves less
+    #: error; else 0.
     highest: float = 0.0
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
-        """Return Q and G at angles, shape (m,) each."""
+        """Return Q and G at the given angles, shape (m,) each."""
         return filter_responses(self.error, self.lead, self.robustness, np.asarray(angles))
 
 
 def filter_responses(error, lead: int, robustness, angles) -> tuple[np.ndarray, np.ndarray]:
-    """Return Q and G at angles.
+    """Return Q and G at the given angles.
 
     Units: ``lead`` [samples].
     """
@@ -120,7 +122,7 @@ def design_filters(
     sample_rate: float = 1.0,
     error: Callable[[Filters], float] | None = None,
 ) -> Filters:
-    """Return the contracting filters of the highest or of the requested bandwidth, or of the least ``error``.
+    """Return contracting filters: of the requested bandwidth, of the highest one, or of the least ``error``.
 
     Units: ``period`` [samples], ``sample_rate`` [Hz].
     """
@@ -140,7 +142,7 @@ def design_filters(
 
 
 def _least(highest: Filters, design: Callable[[float], Filters], lower, error: Callable[[Filters], float]) -> Filters:
-    """Return the contracting filters with the least error, from the highest bandwidth down until it has doubled."""
+    """Return the contracting filters of least error; search down from the highest bandwidth until the error doubles."""
     best, least = highest, error(highest)
     for cutoff in lower:
         found = design(float(cutoff))
@@ -165,7 +167,7 @@ def _judged(kind: str, response: Response, taps, lead: int, robustness) -> Filte
 
 
 def low_pass(cutoff: float, points: int) -> np.ndarray:
-    """Return a response of zero phase that falls from one to zero around a frequency, shape (points,)."""
+    """Return a zero-phase response that falls from 1 to 0 around the frequency ``cutoff``, shape (points,)."""
     places = np.linspace(0.0, 0.5, points)
     width = max(FALL * cutoff, min(LEAST_FALL, cutoff))
     return 0.5 + 0.5 * np.cos(np.pi * np.clip((places - cutoff + width) / (2.0 * width), 0.0, 1.0))
@@ -178,7 +180,7 @@ def symmetric_taps(response, half: int) -> np.ndarray:
 
 
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
-    """Return the 2 n + 1 taps that contain most of a complex response, and the lead of the first tap.
+    """Return the 2 ``half`` + 1 taps that contain most of a complex response, and the lead of the first tap.
 
     Units: ``half`` [samples].
     """
@@ -197,10 +199,10 @@ def _inversion(response: Response, period: int):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
         largest = np.max(weights, axis=0)
-        # if the inverse is exact for all plants, the weights have no effect
+        # if the inverse is exact for all plants, the weights do not matter
         weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
-    # where plants differ much, Q gets a notch just deep enough for contraction
+    # where the plants differ much, Q gets a notch that is just deep enough for contraction
     allowed = np.minimum(1.0, (1.0 - DIP) / contraction(1.0, inverse, possible))
 
     half = min(HALF, period - 1)
@@ -231,7 +233,7 @@ def _norm_optimal(response: Response, period: int):
 
 
 def _repetitive(response: Response, period: int):
-    # phase lead and filter together look ahead by less than a period
+    # phase lead and filter together look less than one period ahead
     half = min(HALF, period // 2)
     leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
     thin = slice(None, None, max(len(response.model) // COARSE, 1))

@@ -38,7 +38,7 @@ _HEADER = """\
 
 
 def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncertainty:
-    """Return the uncertainty of the model in the controller of an axis, according to a measured response."""
+    """Return the uncertainty of the model in an axis' controller, according to a measured response."""
     plant, model = _beside(axis.motion_controller.model.dynamics, axis, found)
     return plant.uncertainty(model, found.response.sample_time)
 
@@ -54,7 +54,7 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:
     """Return the printed margins of a design on the measured plant."""
     loop = measured_margins(axis, result.parameters, found)
-    # both loops are cut at the command, so a damping is part of the controller
+    # both loops are cut at the command, so that a damping is part of the controller
     model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
     rows = loop.rows(model)
     width = max(len(name) for name, _ in rows)
@@ -80,7 +80,7 @@ class MeasuredDynamics:
 def with_measured_dynamics(
     configuration: Configuration, namespace: str | None, found: Analysis, source: str, order: int | None = None
 ) -> MeasuredDynamics:
-    """Return the parameter file of an axis whose plant and controller model have dynamics fitted to a response."""
+    """Return the parameter file of an axis, with dynamics fitted to a response in its plant and controller model."""
     axis = single_axis(configuration, namespace)
     dynamics, fit = dynamics_of(found, order)
     plant, model = _beside(dynamics, axis, found)
@@ -110,7 +110,7 @@ def with_measured_dynamics(
 
 
 def entries(found: ResponseUncertainty, axis: str = "") -> dict:
-    """Return the values of an uncertainty for a parameter file, for a later design; a stage has them for each axis."""
+    """Return an uncertainty as values of a parameter file, for a later design; a stage has values for each axis."""
     start = f"{axis}.response." if axis else "response."
     known = {f"{start}known_to": found.known_to} if np.isfinite(found.known_to) else {}
     return {
@@ -126,7 +126,7 @@ def _plain(values: dict) -> dict:
 
 
 def _beside(dynamics: LinearParameters, axis: AxisParameters, found: Analysis) -> tuple[MeasuredPlant, np.ndarray]:
-    """Return the measured plant, and the response of given dynamics at its lines."""
+    """Return the measured plant, and the response of the given dynamics at the measured lines."""
     sample_time, own = found.response.sample_time, 1.0 / axis.motion_controller.sample_rate
     if abs(sample_time / own - 1.0) > 1e-6:
         raise ConfigurationError(

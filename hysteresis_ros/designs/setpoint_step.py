@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The voltage for a step to the farthest setpoint, through the approach of the axis."""
+"""Voltage during a step of an axis to its farthest setpoint, with the approach of the axis."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from hysteresis_ros.units import readable
 
 #: Samples before the step and after the arrival of the reference, in addition to the preview.
 BEFORE, AFTER = 20, 400
-#: Longest time after the arrival [s], and largest number of samples of the whole run.
+#: Longest settling time after the arrival [s], and largest number of samples of the whole run.
 SETTLING, MOST = 0.2, 400_000
 
 
 @dataclass(frozen=True)
 class SetpointStep:
-    """A step to the farthest setpoint in the simulation."""
+    """A simulated step to the farthest setpoint."""
 
     size: float  #: [m]
-    #: Overshoot beyond the setpoint or the final displacement, as a fraction of the size.
+    #: Overshoot beyond the final displacement, as a fraction of the size.
     overshoot: float
-    largest: float  #: Largest change of the voltage in a sample [V].
-    asked: float  #: Largest change of the voltage in a sample without a slew rate [V].
-    allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf: the file has no slew rate.
-    feedforward: str  #: Type of a feedforward that inverts the dynamics; empty: none.
+    largest: float  #: Largest change of the voltage in one sample [V].
+    asked: float  #: Largest change of the voltage in one sample without a slew rate [V].
+    allowed: float  #: Largest change in one sample that the slew rate allows [V]; inf: the file has no slew rate.
+    feedforward: str  #: Type of the feedforward if it inverts the dynamics; else empty.
 
     @property
     def share(self) -> float:
@@ -61,7 +61,7 @@ class SetpointStep:
 
 
 def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
-    """Return a step of an axis from its start to its farthest setpoint; None for an inchworm motor."""
+    """Return the simulated step of an axis from its start to its farthest setpoint; None for an inchworm motor."""
     if axis.reference_generator is None:
         return None
     axis = at_setpoint(axis)
@@ -98,7 +98,7 @@ def overshoot_of(displacement: np.ndarray, move: float) -> float:
 
 
 def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
-    """Return the printed lines about the step of a designed file."""
+    """Return the printed lines about the setpoint step of a designed file."""
     step = setpoint_step(single_axis(parse_configuration(text, "the designed file"), namespace))
     if step is None:
         return []
@@ -110,7 +110,7 @@ def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
 
 
 def require_gentle(step: SetpointStep | None) -> None:
-    """Refuse a feedforward whose voltage exceeds the slew limit in a step to a setpoint."""
+    """Refuse a feedforward if, in a step to a setpoint, its voltage exceeds the slew limit."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
             f"feedforward {step.feedforward}: a setpoint {readable(step.size, 'm')} away needs a change "
@@ -125,7 +125,7 @@ def _largest(voltage: np.ndarray) -> float:
 
 
 def at_setpoint(axis: AxisParameters) -> AxisParameters:
-    """Return the axis whose reference begins at the initial setpoint, in spite of ``approach.from_rest``."""
+    """Return the axis with its reference beginning at the initial setpoint, even if ``approach.from_rest`` is set."""
     own = axis.generator
     return replace(axis, reference_generator=replace(own, approach=replace(own.approach, from_rest=False)))
 

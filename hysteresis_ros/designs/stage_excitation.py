@@ -10,8 +10,8 @@
 """Excitation of a stage: all axes together with orthogonal multisines, or one axis after the other, in one run.
 
 The stage runs in open loop, without inverses and without its decoupling, so that each axis drives its own actuator.
-Orthogonal multisines come in groups of as many realisations as there are axes; each realisation has periods to settle,
-and periods that are evaluated. Other recipes move one axis after the other, while the other axes stay at 0 V, or at the
+Orthogonal multisines come in groups of as many realisations as there are axes; each realisation consists of settling
+periods and evaluated periods. Other recipes move one axis after the other, while the other axes stay at 0 V, or at the
 end of their range that is nearest to 0 V.
 """
 
@@ -42,28 +42,30 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 PERIOD = 2000
 MULTISINE = "multisine"
 #: Default number of realisations for each axis. Hysteresis makes each realisation differ from the next one, and a
-#: design assumes the worst of what they leave open. With three, actuators of other classes than the models got loops
-#: of 0.05 … 24 Hz, with six 350 … 660 Hz (plants 2 and 8 of ``bench_scan.py``); with twelve plant 8 gained 1 %.
+#: design must assume the worst case of the remaining uncertainty. For plants 2 and 8 of ``bench_scan.py``, whose
+#: actuators are of other classes than the models, the loops had bandwidths of 0.05 … 24 Hz with three realisations, and
+#: of 350 … 660 Hz with six. With twelve, plant 8 gained another 1 %.
 REALISATIONS = 6
-#: Fraction of the amplitude below which a multisine that a slew rate reduces is too small for an identification.
+#: If a slew rate reduces a multisine to less than this fraction of its amplitude, the multisine is too small for an
+#: identification.
 WEAK = 0.1
 
 
 @dataclass(frozen=True)
 class StageExcitation:
-    """Settings of an excitation of a stage."""
+    """Settings of the excitation of a stage."""
 
-    name: str = MULTISINE  #: A recipe.
+    name: str = MULTISINE  #: Name of a recipe.
     amplitude: float = 1.0  #: Factor on the amplitude of the recipe.
-    frequency: float | None = None  #: Line spacing of the multisine, frequency of the cycles of other recipes [Hz].
+    frequency: float | None = None  #: Line spacing of the multisine, or frequency of the cycles of another recipe [Hz].
     realisations: int | None = None  #: Realisations of the multisine; by default :data:`REALISATIONS` for each axis.
     periods: int = 2  #: Number of evaluated periods of each realisation.
-    settle: int = 1  #: Number of periods before the evaluated periods, for settling.
+    settle: int = 1  #: Number of settling periods before the evaluated periods.
     one_by_one: bool = False  #: Whether the multisines excite one axis after the other.
     duration: float | None = None  #: Duration of the recipe of each axis [s].
     seed: int = 1
     #: Voltages of the axes before and after the excitation [V]; by default 0 V, or the end of the range that is nearest
-    #: to it.
+    #: to 0 V.
     rests: tuple[float, ...] | None = None
 
     def rest(self, place: int, limits: LimitsParameters) -> float:
@@ -71,13 +73,13 @@ class StageExcitation:
         return min(max(0.0, limits.minimum), limits.maximum) if self.rests is None else self.rests[place]
 
     def count(self, axes: int) -> int:
-        """Return the number of realisations of a stage with this number of axes."""
+        """Return the number of realisations for this number of axes."""
         return REALISATIONS * axes if self.realisations is None else self.realisations
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitedStage:
-    """A stage that plays an excitation."""
+    """A stage that outputs an excitation."""
 
     stage: StageParameters
     duration: float  #: [s]
@@ -98,7 +100,7 @@ def excited_stage(configuration: Configuration, asked: StageExcitation, path) ->
 def played_stage(
     configuration: Configuration, voltages: np.ndarray, path, ranges: Sequence[tuple[float, float]] | None = None
 ) -> StageParameters:
-    """Return the stage that outputs voltages [V], shape (N, n); they are written to a file next to ``path``.
+    """Return the stage that outputs ``voltages`` [V], shape (N, n), from a file that is written next to ``path``.
 
     Plants and compensators are limited to ``ranges`` [V], by default those of the configuration.
     """
@@ -123,7 +125,7 @@ def played_stage(
 
 
 def scoped(configuration: Configuration, changed: Configuration, namespace: str) -> list[tuple[str, dict]]:
-    """Return the parameters that a changed configuration adds, for the nodes of one axis or for all axes."""
+    """Return the parameters added by a changed configuration, for the nodes of one axis or of all axes."""
     added = changed.entries[len(configuration.entries) :]
     return [(namespace + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in added]
 
@@ -147,12 +149,12 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
         )
     spacing = asked.frequency or rate / PERIOD
     N = round(rate / spacing)
-    # every line: a design has to assume a resonance wherever the response is unknown
+    # all lines are excited: where the response is unknown, a design has to assume a resonance
     lines = np.arange(1, (N + 1) // 2)
     if N < 32:
         raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples a period")
     if asked.one_by_one:
-        # a column of periods for each axis in turn
+        # for each axis in turn, one column of periods
         single = orthogonal_multisines(1, N, lines, realisations, asked.seed)[:, :, 0]
         table = np.zeros((realisations, N, count))
         turn = np.arange(realisations) % count
@@ -182,7 +184,7 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
 
 
 def _in_turn(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
-    """Return a recipe for one axis after the other, shape (N, n) [V], and its description."""
+    """Return the voltages that apply a recipe to one axis after the other, shape (N, n) [V], and their description."""
     rate, parts = parameters.sample_rate, []
     rests = [asked.rest(place, axis.hysteresis_compensator.limits) for place, axis in enumerate(parameters.axes)]
     for place, axis in enumerate(parameters.axes):

@@ -9,17 +9,17 @@
 
 """Dynamic decoupling: the feedforward of a stage, by stable inversion of the model of all axes with preview.
 
-G is the response from the outputs of the control laws to the displacements, of all axes, with actuators, dampings and
-decoupling; F are the inverses of the models of the single axes. The feedforward that the stage needs in addition to F
-is
+G is the response from the outputs of the control laws to the displacements of all axes; it includes actuators, dampings
+and decoupling. F contains the inverses of the models of the single axes. The feedforward that the stage needs in
+addition to F is
 
     X = G⁻¹ - F.
 
-On the unit circle G⁻¹ is bounded also where G has zeros outside it: its impulse response then extends into the future,
-and preview makes the non-causal inverse possible. X becomes a finite impulse response of N samples in both
-directions by weighted least squares. Up to the band the weight is (band / f)², because references contain less at high
-frequencies; beyond the band X is kept small, because the model is not known there. The weights add up to 0 exactly: at
-rest the matrix ``decoupling`` decouples.
+On the unit circle, G⁻¹ is bounded even if G has zeros outside the unit circle: the impulse response of G⁻¹ then extends
+into the future, and preview makes this non-causal inverse possible. Weighted least squares approximate X by an impulse
+response of N samples in both directions. Up to the band the weight is (band / f)², because references contain less at
+high frequencies; beyond the band X is kept small, because the model is not known there. The weights add up to 0
+exactly: at rest, the matrix ``decoupling`` alone decouples the axes.
 """
 
 from __future__ import annotations
@@ -50,18 +50,19 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Default band, as a fraction of the sample rate; near half of it the model of a stage is seldom known. If no preview
-#: is long enough for the band, the band is reduced by this factor, at most this number of times.
+#: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate. If no
+#: preview is long enough for the band, the band is reduced by the factor NARROWER, at most STEPS times.
 BAND, NARROWER, STEPS = 0.1, 0.8, 10
-#: Coupling that may remain up to the band, for which a design looks for a preview in these steps.
+#: Largest coupling that may remain up to the band, and step [samples] in which a design increases the preview until it
+#: is reached.
 REMAINING, STEP = 1e-3, 2
 #: Static coupling that may be left to the feedback.
 AT_REST = 0.01
 #: Frequencies of the design, as fractions of the sample rate; the weight is constant below the second number.
 GRID, FLAT = np.linspace(0.0005, 0.5, 1000), 0.002
-#: Weights beyond twice the band, and between the band and that, relative to the weight at the band.
+#: Weights, relative to the weight at the band: beyond twice the band, and between the band and twice the band.
 BEYOND, BETWEEN = 0.01, 1e-3
-#: Control laws whose loop has the references of all axes as the target; others follow the model of their own axis.
+#: Control laws whose loop aims at the references of all axes; with other laws, each axis follows its own model.
 LAWS = ("pid", "open_loop")
 
 
@@ -70,10 +71,10 @@ class StageFeedforward:
     """A designed feedforward of a stage."""
 
     parameters: StageParameters  #: The stage with this feedforward.
-    band: float  #: Frequency up to which it decouples [Hz].
-    before: float  #: Largest coupling up to the band with the inverse of each axis alone, as a fraction.
-    after: float  #: The same with the feedforward of the stage.
-    own: float  #: Largest error of an axis itself up to the band, as a fraction.
+    band: float  #: Frequency up to which this feedforward decouples [Hz].
+    before: float  #: Largest coupling up to the band with only the inverse of each axis, as a fraction.
+    after: float  #: The same coupling with the feedforward of the stage.
+    own: float  #: Largest error of an axis up to the band in following its own reference, as a fraction.
 
     @property
     def preview(self) -> int:
@@ -84,11 +85,11 @@ class StageFeedforward:
 def design_stage_feedforward(
     parameters: StageParameters, preview: int | None = None, band: float | None = None
 ) -> StageFeedforward:
-    """Design the feedforward of a stage up to a band [Hz]; its controllers stay.
+    """Design the feedforward of a stage up to a band [Hz]; the controllers of the stage stay.
 
-    The preview is the shortest with which the coupling of the model is at most 0.1 % up to the band, which is by
-    default a tenth of the sample rate, or less if no preview is long enough for it. A ConfigurationError states the
-    reason if this is impossible.
+    The preview is the shortest one with which the coupling of the model is at most 0.1 % up to the band. By default the
+    band is a tenth of the sample rate, or less if no preview is long enough. If no feedforward can be designed, a
+    ConfigurationError states the reason.
     """
     rate = parameters.sample_rate
     limits = [BAND * rate * NARROWER**step for step in range(STEPS)] if band is None else [band]
@@ -134,7 +135,7 @@ def _require_laws(parameters: StageParameters) -> None:
 
 
 def _require_decoupled(parameters: StageParameters) -> None:
-    """Refuse a stage whose axes couple at rest."""
+    """Refuse a stage whose axes are coupled at rest."""
     gain = gain_at_rest(parameters)
     share = np.abs(gain - np.diag(np.diag(gain))) / np.abs(np.diag(gain))
     if np.max(share) > AT_REST:
@@ -145,7 +146,7 @@ def _require_decoupled(parameters: StageParameters) -> None:
 
 
 def _designed(parameters: StageParameters, models, plant: np.ndarray, preview: int, band: float) -> StageFeedforward:
-    """Return the feedforward with this preview for a response of the plant on the grid."""
+    """Return the feedforward with this preview; ``plant`` is the response of the plant on the grid."""
     count, z = len(parameters.names), np.exp(2j * np.pi * GRID)
     alone = np.zeros((len(z), count, count), dtype=complex)
     for i, model in enumerate(models):
@@ -184,12 +185,13 @@ def _designed(parameters: StageParameters, models, plant: np.ndarray, preview: i
 
 
 def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray:
-    """Return weights of r(k-N) … r(k+N-1) with nearly the response on the grid, shape (n, n, 2 N); their sum is 0.
+    """Return an FIR filter of r(k-N) … r(k+N-1) that approximates ``wanted``: weights with sum 0, shape (n, n, 2 N).
 
-    Shapes: ``wanted`` (F, n, n), and ``band`` is a fraction of the sample rate.
+    ``wanted``, shape (F, n, n), is the response at the frequencies :data:`GRID`; N is ``preview``, and ``band`` is a
+    fraction of the sample rate.
     """
     shifts = np.arange(-preview, preview)
-    # differences of neighbours have the sum 0
+    # weights that are differences of neighbours have the sum 0
     differences = np.eye(len(shifts))[:, 1:] - np.eye(len(shifts))[:, :-1]
     basis = np.exp(2j * np.pi * np.outer(GRID, shifts)) @ differences
     within = band >= GRID
@@ -201,25 +203,25 @@ def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray
     return np.ascontiguousarray(found.T.reshape(*wanted.shape[1:], len(shifts)))
 
 
-#: A setpoint counts as reached after this fraction of the move.
+#: A setpoint counts as reached when the axis has covered this fraction of the move.
 REACHED = 0.98
 
 
 @dataclass(frozen=True)
 class VoltageSteps:
-    """Largest changes of a voltage in a sample, of any actuator of a stage, without slew rates."""
+    """Largest change of a voltage in one sample, over all actuators of a stage, without slew rates."""
 
     what: str  #: What the axis does.
-    asked: float  #: Largest change in a sample [V].
-    allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf without a slew rate.
+    asked: float  #: Largest change in one sample [V].
+    allowed: float  #: Largest change in one sample that the slew rate allows [V]; inf without a slew rate.
     span: float  #: Range of the voltage [V].
-    overshoot: float | None = None  #: Of a setpoint, as a fraction; None: no setpoint, or it is not reached.
+    overshoot: float | None = None  #: Overshoot of a setpoint, as a fraction; None: no setpoint, or it is not reached.
 
 
 def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
-    """Return the voltage changes of a step of each axis to its farthest setpoint, and of the waveforms."""
+    """Return the largest voltage changes in a step of each axis to its farthest setpoint, and in the waveforms."""
     rate, found = parameters.sample_rate, []
-    settled = round(SETTLING * rate)  # the first motion is that from 0 V to the initial setpoint
+    settled = round(SETTLING * rate)  # the first motion is from 0 V to the initial setpoint
     free = replace(parameters, axes=tuple(at_setpoint(unlimited(axis)) for axis in parameters.axes))
     still = free.scanning([])
     for name, axis in zip(parameters.names, still.axes, strict=True):
@@ -234,7 +236,8 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
             way = f"a setpoint {readable(abs(target - start), 'm')} away in {name}"
             rows.append(_largest(parameters, run, settled, way))
             displacement = run[f"{name}/displacement"][settled - 1 :]
-            # hysteresis may keep the voltage at its limit before an end of the range; the other end is tried then
+            # hysteresis may keep the voltage at its limit before the axis reaches an end of its range; then the other
+            # end is tried
             if abs(displacement[-1] - displacement[0]) > REACHED * abs(target - start):
                 over = overshoot_of(displacement, target - start)
                 break
@@ -247,7 +250,7 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
 
 
 def _largest(parameters: StageParameters, run, first: int, what: str) -> VoltageSteps:
-    """Return the change of a voltage from a sample on that is the largest fraction of its range."""
+    """Return the largest change of a voltage from sample ``first`` on, as a fraction of its range, over all axes."""
     rows = []
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         limits = axis.hysteresis_compensator.limits
@@ -259,7 +262,7 @@ def _largest(parameters: StageParameters, run, first: int, what: str) -> Voltage
 
 
 def require_gentle_steps(steps: list[VoltageSteps]) -> None:
-    """Refuse a feedforward that needs the whole range in a sample, or more than the slew rate for a setpoint."""
+    """Refuse a feedforward that needs the whole range in one sample, or for a setpoint more than the slew rate."""
     for step in steps:
         if step.asked >= step.span or (step.asked > step.allowed and step.what.startswith("a setpoint")):
             allowed = f"{step.allowed:.3g} V" if step.asked < step.span else f"less than the range of {step.span:.3g} V"

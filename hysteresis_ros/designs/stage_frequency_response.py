@@ -7,9 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The response matrix of a stage: the run that measures it, the matrix from a recording, its table and its files.
+"""Response matrix of a stage: the run that measures it, the matrix from a recording, its table and its files.
 
-Noise and distortion of an entry are the standard deviations that they cause in it, averaged over the realisations.
+Noise and distortion of an entry are the standard deviations of the entry that they cause, averaged over the
+realisations.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ from hysteresis_ros.units import readable
 
 #: Approximate number of lines that are kept if the inputs do not repeat.
 MOST_LINES = 500
-#: Number of parts of a recording that tell its usual motion from single large movements.
+#: A recording is divided into this number of parts, to distinguish its usual motion from single large movements.
 WINDOWS = 32
 
 
@@ -72,13 +73,13 @@ class StageResponse:
 
     @property
     def noise(self) -> np.ndarray | None:
-        """Standard deviation of the entries by noise, shape (F, n, n) [m/V]; None where it is not known."""
+        """Standard deviation of the entries by noise, shape (F, n, n) [m/V]; None if it is not known."""
         variance = self.matrix.response.noise_variance
         return None if variance is None else np.sqrt(variance)
 
     @property
     def distortion(self) -> np.ndarray | None:
-        """Standard deviation of the entries by nonlinear distortion, shape (F, n, n) [m/V]; None where not known."""
+        """Standard deviation of the entries by nonlinear distortion, shape (F, n, n) [m/V]; None if it is not known."""
         response = self.matrix.response
         if response.total_variance is None or response.noise_variance is None:
             return None
@@ -98,7 +99,7 @@ class StageResponse:
         return np.median(10.0 * np.log10(np.maximum(power, 1e-300)), axis=0)
 
     def require_excited(self) -> None:
-        """Refuse a response in which the motion by one of the actuators is below the noise of all sensors."""
+        """Refuse a response in which one of the actuators causes less motion than the noise of every sensor."""
         for name, best in zip(self.names, self.ratio.max(axis=0), strict=True):
             if best < LEAST_RATIO:
                 raise IdentificationError(
@@ -108,7 +109,7 @@ class StageResponse:
                 )
 
     def _pairs(self) -> Iterator[tuple[str, int, int]]:
-        """Return each input with all outputs: name of the pair, place of the output, place of the input."""
+        """Return each input with all outputs: name of the pair, index of the output, index of the input."""
         for j, source in enumerate(self.names):
             for i, target in enumerate(self.names):
                 yield f"{target}_from_{source}", i, j
@@ -142,7 +143,7 @@ class StageResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Columns of a table of the response, by names with units."""
+        """Columns of a table of the response, by names that contain their units."""
         response = self.matrix.response
         unit = f"{response.output_unit}/{response.input_unit}"
         found = {"frequency [Hz]": response.frequency}
@@ -158,7 +159,7 @@ class StageResponse:
         return found | {"condition [1]": self.matrix.condition}
 
     def lines(self) -> list[str]:
-        """Return the table that is printed."""
+        """Return the printed table."""
         figures, names = self.figures, ", ".join(self.names)
         at = figures["largest_condition_at_hz"]
         rows = [
@@ -195,10 +196,10 @@ class StageResponse:
 def stage_response_run(
     configuration: Configuration, amplitude: str | None, period: float | None, more: dict[str, Any], path
 ) -> tuple[ExcitedStage, Plan]:
-    """Return the stage that plays orthogonal multisines, and their places in its recording.
+    """Return the stage that plays orthogonal multisines, and the plan that describes them in its recording.
 
-    ``amplitude`` is the peak as a fraction of each range, ``period`` that of the multisines [s]; ``more`` has further
-    settings of the excitation.
+    ``amplitude`` is the peak of the multisines as a fraction of each range, ``period`` [s] their period; ``more`` has
+    further settings of the excitation.
     """
     asked = StageExcitation(frequency=None if period is None else 1.0 / period, **more)
     if amplitude is not None:
@@ -219,9 +220,9 @@ def stage_response_run(
 def recorded_stage_response(
     reading: StageReading, plan: Plan | None = None, period: float | None = None, settle: int | None = None
 ) -> StageResponse:
-    """Return the response matrix of the recording of a stage, whose excitation has a plan or is detected.
+    """Return the response matrix from the recording of a stage; without a plan, the excitation is detected.
 
-    Units: ``period`` [s]. Refuses excitations that are correlated, or an actuator that does not move.
+    Units: ``period`` [s]. Correlated excitations and actuators that do not move are refused.
     """
     names = reading.axes
     with correlated_by_name(reading):
@@ -242,7 +243,7 @@ def recorded_stage_response(
 
 
 def _of_one_level(data: StructureData, source: str) -> ResponseMatrix:
-    """Return the response matrix of all realisations, which must have one level."""
+    """Return the response matrix of all realisations, which must be of the same level."""
     levels, m = data.levels, data.u.shape[2]
     if len(levels) > 1 and min(len(level) for level in levels) >= m:
         sizes = ", ".join(f"{float(np.std(data.u[level])):.3g} V" for level in levels)
@@ -289,7 +290,7 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
 
 
 def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
-    """Return the response of each level without the held-out realisations, and these realisations."""
+    """Return the response of each level from its other realisations, and the held-out realisations."""
     m, found, judged = data.u.shape[2], [], []
     for chosen in data.levels:
         if len(chosen) < m + held_out:
@@ -307,7 +308,7 @@ def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseM
 
 
 def excited_lines(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> np.ndarray:
-    """Return which lines are excited; other lines contain only the effects of converters and late samples."""
+    """Return which lines are excited; other lines contain only the effects of converters and of late samples."""
     places = np.rint(found.response.frequency * data.period * data.sample_time).astype(int)
     mean = u.reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
     strength = np.abs(np.fft.rfft(mean, axis=1)).max(axis=(0, 2))[places]
@@ -324,7 +325,7 @@ def response_without_periods(reading: StageReading) -> ResponseMatrix:
 
 
 def decoupled_responses(found: ResponseMatrix, gain: np.ndarray) -> tuple[Analysis, ...]:
-    """Return the response of each axis from its command, decoupled by the static gain [m/V]."""
+    """Return the response of each axis from its command, which the static gain [m/V] decouples."""
     return tuple(_decoupled(found, gain, i) for i in range(len(gain)))
 
 
@@ -351,9 +352,10 @@ def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
 def command_responses(
     parameters: StageParameters, names: tuple[str, ...], found: ResponseMatrix
 ) -> dict[str, Analysis]:
-    """Return the response of each axis of a stage from its command, through its decoupling, by the names of the axes.
+    """Return the response of each axis of a stage from its decoupled command, by the names of the axes.
 
-    As a response from a voltage it is scaled to the gain of the model, because small movements have another gain.
+    Each response is marked as a response from a voltage, so that it is scaled to the gain of the model: the gain of
+    small movements is different.
     """
     if names != parameters.names:
         raise ConfigurationError(

@@ -10,7 +10,7 @@
 """From recordings of a stage to its parameter file: structure, hysteresis, decoupling, controllers.
 
 1. Response matrix G [m/V] from the realisations that are not held out; by the local polynomial method if the inputs do
-   not repeat. A response matrix that was measured separately takes its place in the following steps.
+   not repeat. A separately measured response matrix, if given, replaces G in the following steps.
 2. ``hammerstein``: a stable state space of G without feedthrough, after a delay of whole samples. Order and delay are
    chosen by the error on the held-out realisations. The columns of its input matrix are divided by the static gains
    from each actuator to its own sensor, which makes the inputs of the structure displacements [m]. The hysteresis of
@@ -78,28 +78,29 @@ from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
 from hysteresis_ros.units import readable
 
-#: Tried orders of a structure, and largest delay before it [samples].
+#: Orders that are tried for a structure, and largest delay before the structure [samples].
 ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
-#: Tried orders of the model of an axis, and factor on the smallest error up to which the error of a lower order
-#: suffices.
+#: Orders that are tried for the model of an axis. A lower order suffices if its error is at most AXIS_ENOUGH times the
+#: smallest error.
 AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
-#: RMS error, as a fraction of the gain, below which the response of an axis is that of a delay without dynamics.
+#: Below this RMS error of the fit, as a fraction of the gain, an axis is modelled as a delay without dynamics.
 PURE_DELAY = 1e-3
 #: A structure is refined only if its error before the refinement is at most this factor times the smallest error.
 WORTH = 10.0
 #: A lower order of the structure suffices if its error is at most this factor times the smallest error: further states
 #: only describe the creep and the hysteresis of the actuators.
 STRUCTURE_ENOUGH = 1.1
-#: Number of steps of the refinement on the response, for each order and for the chosen order.
+#: Number of steps of the refinement on the response: for each tried order, and for the chosen order.
 STEPS, LAST_STEPS = 15, 100
 #: Largest modulus of a pole of a structure.
 RADIUS = 1.0 - 1e-5
-#: Real poles slower than this multiple of the lowest line count as creep, and not as part of the structure.
+#: Real poles slower than this multiple of the lowest line count as creep and are not part of the structure.
 CREEPING = 10.0
-#: Uncertainty of the response of an axis, as a part of it, that is the reason for a slow loop, at frequencies up to
-#: this multiple of its bandwidth.
+#: A loop is slow because of its response if the relative uncertainty of the response exceeds UNSURE at a frequency up
+#: to NEAR times the bandwidth.
 UNSURE, NEAR = 0.5, 2.0
-#: Fraction of the range of motion that the references use; number of voltages from one end of the range to the other.
+#: Fraction of the range of motion that the references use; number of voltages in a sweep from one end of the range to
+#: the other.
 USED, SWEPT = 0.95, 500
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
@@ -109,7 +110,7 @@ _HEADER = """\
 
 @dataclass(frozen=True)
 class StageRequest:
-    """Request of an identification of a stage.
+    """Options of an identification of a stage.
 
     Parameters
     ----------
@@ -134,12 +135,12 @@ class StageRequest:
     noise : float, optional
         RMS noise of the sensors [m] for the design; by default the measured noise.
     resting_noise : tuple of float
-        RMS noise of each sensor [m], measured at rest; empty: that of the recording, in which every irregularity of the
-        excitation counts as noise.
+        RMS noise of each sensor [m], measured at rest. If empty, the noise is that of the recording, where every
+        irregularity of the excitation also counts as noise.
     response : path-like, optional
         For type ``hammerstein``: the response matrix that ``hysteresis frf`` wrote for the stage (NPZ). The structure
-        and the models of the axes are fitted to it, and its bands are those of the designs. The recording determines
-        ranges, noise and, with its held-out realisations, the order.
+        and the models of the axes are fitted to this matrix, and the designs use its frequency bands. The recording
+        determines the ranges, the noise and, with its held-out realisations, the order.
     progress : callable, optional
         Called as ``progress(text)``.
     """
@@ -160,7 +161,7 @@ class StageRequest:
     progress: Callable[[str], None] | None = field(default=None, compare=False)
 
     def checked(self) -> StageRequest:
-        """Return the request; IdentificationError if an option cannot be used."""
+        """Return the request, or raise an IdentificationError if an option cannot be used."""
         for name, value, allowed, wrong in (
             ("type", self.type, f"must be {HAMMERSTEIN} or {INTERNAL}", self.type not in (None, HAMMERSTEIN, INTERNAL)),
             (
@@ -185,24 +186,24 @@ class _Plant:
 
     type: str
     structure: StructureParameters
-    delay: int  #: Whole samples of delay of each actuator.
-    gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs, small motions [m/V].
-    hysteresis: tuple[workflow.Identified | None, ...]  #: Hysteresis of each actuator; None: proportional.
+    delay: int  #: Delay of each actuator in whole samples.
+    gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs for small motions [m/V].
+    hysteresis: tuple[workflow.Identified | None, ...]  #: Of each actuator; None: it is proportional.
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
-#: Gain of the held-out data, relative to that of the written file, above which a design considers it; it is stated if
-#: it is that much smaller, too.
+#: If the held-out data have more than this multiple of the gain of the written file, a design considers their gain. A
+#: gain that is smaller by the same factor is only stated.
 DEVIATING = 1.1
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A realisation that was held out, in steady state and without its mean."""
+    """A held-out realisation in steady state, without its mean."""
 
     time: np.ndarray  #: shape (N,) [s]
     measured: np.ndarray  #: shape (N, q) [m]
-    predicted: np.ndarray  #: shape (N, q) [m]; By the whole file.
+    predicted: np.ndarray  #: shape (N, q) [m]; Prediction of the whole parameter file.
 
     @property
     def errors(self) -> np.ndarray:
@@ -216,7 +217,7 @@ class HeldOut:
 
     @property
     def gains(self) -> np.ndarray:
-        """Factor on the prediction of each output with which it is closest to the measurement; 1 without motion."""
+        """Factor that brings the prediction of each output closest to the measurement; 1 without motion."""
         square = np.sum(self.predicted**2, axis=0)
         return np.where(
             square > 0.0, np.sum(self.predicted * self.measured, axis=0) / np.where(square, square, 1.0), 1.0
@@ -224,7 +225,7 @@ class HeldOut:
 
     @property
     def shapes(self) -> np.ndarray:
-        """RMS error of each output with this factor [m]."""
+        """RMS error of each output [m] after its prediction is multiplied by this factor."""
         return np.sqrt(np.mean((self.gains * self.predicted - self.measured) ** 2, axis=0))
 
 
@@ -237,7 +238,8 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     text : str
         The parameter file of the stage, which ``simulate``, ``design`` and ``up`` accept.
     parameters : StageParameters
-        Parameters in the text. With ``into``, those of the identified stage, because the text keeps another plant.
+        Parameters in the text. With ``into``, the parameters of the identified stage, because the text keeps the plant
+        of ``into``.
     responses : tuple of ResponseMatrix
         Response matrix [m/V] of each level, with noise and distortion separated, the lowest level first.
     axes : tuple of Analysis
@@ -381,7 +383,7 @@ def identify_stage(
 
 
 def _responses(reading: StageReading, data: StructureData | None, request: StageRequest, names):
-    """Return the response matrices of the levels, the held-out one (or None), and the sensors' noise [m] (or None)."""
+    """Return the levels' response matrices, the held-out realisations or None, and the sensors' noise [m] or None."""
     judged = None
     with correlated_by_name(reading):
         if data is None:
@@ -395,7 +397,7 @@ def _responses(reading: StageReading, data: StructureData | None, request: Stage
 
 
 def _kind(data: StructureData | None, request: StageRequest, loops: StageReading | None) -> str:
-    """Return the type of the stage: with hysteresis inside the structure if the recordings have several levels."""
+    """Return the type of the stage: by default ``internal`` for recordings at several levels without loops."""
     several = data is not None and len(data.levels) > 1 and loops is None and request.plays > 0
     kind = request.type or (INTERNAL if several else HAMMERSTEIN)
     if kind == INTERNAL and loops is not None:
@@ -411,7 +413,7 @@ def _kind(data: StructureData | None, request: StageRequest, loops: StageReading
 
 
 def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> ResponseMatrix:
-    """Return the response matrix in a file; refuse that of other axes or of another sample rate."""
+    """Return the response matrix in a file; refuse a matrix of other axes or of another sample rate."""
     axes, found = load_stage_response(path)
     if axes != names:
         raise IdentificationError(
@@ -428,7 +430,7 @@ def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> Res
 
 
 def _require_regular(gain: np.ndarray, found: ResponseMatrix, names: tuple[str, ...]) -> None:
-    """Refuse a static gain [m/V] that has a direction without any displacement."""
+    """Refuse a static gain [m/V] with a direction of voltages that causes no displacement."""
     lost = _lost(gain, found, names)
     if lost:
         raise ParameterError(
@@ -451,7 +453,7 @@ def _linear_response(plant: _Plant, frequency: np.ndarray) -> np.ndarray:
 
 
 def _lost(gain: np.ndarray, found: ResponseMatrix, names) -> str:
-    """Return the direction of the actuators that moves no sensor, or no more than the uncertainty of the gain."""
+    """Return the combination of actuators that moves no sensor, or no more than the uncertainty of the gain."""
     left, sizes, right = np.linalg.svd(gain)
     response = found.response
     # the lowest lines determine the static gain
@@ -558,7 +560,7 @@ def _linear(
         tried.append((_judge(model, delay, response, judged), order, delay, model))
         if progress is not None:
             progress(f"order {order}, delay {delay}: error {tried[-1][0]:.4g}")
-    # a slow real pole would describe creep, which belongs to the actuators, and would change the static gain
+    # a slow real pole would describe creep, which belongs to the actuators; it would also change the static gain
     tried = [one for one in tried if not _slow(one[3], response)] or tried
     least = min(one[0] for one in tried)
     # the lowest order that is almost as good as the best, and the best delay for this order
@@ -570,14 +572,14 @@ def _linear(
 
 
 def _slow(model: LinearModel, response: FrequencyResponse) -> bool:
-    """Return whether a model has a real pole slower than :data:`CREEPING` times the lowest line of a response."""
+    """Return whether a model has a real pole slower than :data:`CREEPING` times a response's lowest line."""
     poles = model.poles
     slowest_allowed = np.exp(-2.0 * np.pi * CREEPING * response.frequency[0] * response.sample_time)
     return bool(np.any((np.abs(poles.imag) < 1e-9) & (poles.real > slowest_allowed)))
 
 
 def _judge(model: LinearModel, delay: int, response: FrequencyResponse, judged) -> float:
-    """Return the RMS error of a model on the held-out realisations [m], or else on the response itself [m/V]."""
+    """Return the RMS error of a model on the held-out realisations [m]; without them, on the response itself [m/V]."""
     if judged is not None:
         errors = _held_errors(model, delay, judged[0])
         return float(np.sqrt(np.mean(errors**2)))
@@ -587,7 +589,7 @@ def _judge(model: LinearModel, delay: int, response: FrequencyResponse, judged) 
 
 
 def _held_errors(model: LinearModel, delay: int, data: StructureData) -> np.ndarray:
-    """Return the RMS error of each output [m] in the steady state, without the mean, shape (q,)."""
+    """Return the RMS error of each output [m] in steady state, without the mean, shape (q,)."""
     R, _, m = data.u.shape
     N = data.period
     u, y = (one.reshape(R, -1, N, one.shape[2]).mean(axis=1) for one in (data.u, data.y))
@@ -626,7 +628,7 @@ def _internal(data: StructureData, request: StageRequest, band: tuple[float, flo
 
 
 def _loops(loops: StageReading, names, request: StageRequest) -> list[workflow.Identified | None]:
-    """Return the hysteresis of each actuator, from the span in which it moves alone."""
+    """Return the hysteresis of each actuator, from the part of the recording in which this actuator moves alone."""
     u, y = loops.whole()
     found: list[workflow.Identified | None] = []
     for i, (name, (first, last)) in enumerate(zip(names, loops_of(loops), strict=True)):
@@ -652,7 +654,7 @@ def _named(error: IdentificationError, where: str) -> tuple:
 
 
 def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | None:
-    """Return the RMS noise of each output [m], from the upper half of the lines; None where it is not known."""
+    """Return the RMS noise of each output [m], from the upper half of the lines; None if the noise is not known."""
     if found.noise is None:
         return None
     upper = found.noise[len(found.noise) // 2 :]
@@ -722,12 +724,12 @@ def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, d
 
 
 def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
-    """Return the dynamics of the controller's model of an axis, and the error of its response [%]."""
+    """Return the dynamics of an axis in its controller's model, and the error of their response [%]."""
     model, late = _linear(response, None, AXIS_ORDERS, AXIS_ENOUGH)
     dynamics = replace(model.linear_parameters(), delay=late * step)
     f = response.frequency
     fitted = (model.frequency_response(f)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * f * late * step)).ravel()
-    # a delay without further dynamics is order 0; any order above it has states that cannot be controlled
+    # a delay without further dynamics has order 0; with any higher order the model would have uncontrollable states
     samples = np.arange(1, MOST_DELAY + 2)
     delays = np.exp(-2j * np.pi * np.outer(samples, f) * step)
     errors = np.sqrt(np.mean(np.abs(delays - response.single) ** 2, axis=1))
@@ -749,10 +751,10 @@ def _copied(nodes: dict) -> dict:
 
 
 def put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
-    """Return the text of a stage that gets decoupling, compensators, controllers and references.
+    """Return the text of a stage with the decoupling, compensators, controllers and references of another one.
 
-    A simulated stage keeps its plant. That of devices, which only simulations and designs use, becomes the identified
-    one.
+    A simulated stage keeps its plant. A stage of devices uses its plant only in simulations and designs, so its plant
+    is replaced by the identified one.
     """
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
@@ -779,7 +781,7 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
             values = dict(designed.node(node, f"/{name}"))
             values = {key: value for key, value in values.items() if key not in ("joint", "sample_rate")}
             if node == "hysteresis_compensator":
-                # the limits are those of the stage, where it has them
+                # where the stage has limits of its own, they stay
                 own = axis.hysteresis_compensator.limits
                 values |= {"limits.minimum": own.minimum, "limits.maximum": own.maximum}
                 if own.slew_rate > 0.0:
@@ -794,14 +796,14 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
 
 
 def _modelled(plant: dict) -> dict:
-    """Return those parameters of an identified plant that describe its model, not its device, also what it lacks."""
+    """Return the parameters of an identified plant's model, without those of its device, with missing ones added."""
     lacking = {"creep.type": "none", "dynamics.delay": 0.0, "preload.A1": 0.0, "sensor.noise": 0.0}
     model = ("hysteresis.", "creep.", "dynamics.", "preload.", "sensor.")
     return lacking | {key: value for key, value in plant.items() if key.startswith(model)}
 
 
 def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:
-    """Return the parameters of the compensator of an axis, and the zero of its sensor [m]."""
+    """Return the parameters of the compensator of an axis, and the zero of the axis' sensor [m]."""
     limits = {"limits.minimum": low, "limits.maximum": high}
     one = plant.hysteresis[i]
     if one is None:
@@ -827,9 +829,9 @@ def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float
 
 
 def _ends(compensator: CompensatorParameters, step: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] to which an actuator returns from its other end.
+    """Return the smallest and the largest displacement [m] that an actuator reaches when it comes from its other end.
 
-    Before it first moved, an actuator with hysteresis was farther out: it does not return to its zero.
+    An actuator with hysteresis does not return to its zero, so the first motion from there has a larger range.
     """
     if compensator.inverse.type == "none":
         return reachable_commands(compensator, step)
@@ -841,7 +843,7 @@ def _ends(compensator: CompensatorParameters, step: float) -> tuple[float, float
 
 
 def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
-    """Return the ranges of the degrees of freedom [m] that can be reached again and again, and in any combination."""
+    """Return ranges of the degrees of freedom [m] that can be reached repeatedly, and in any combination."""
     ends = np.array([_ends(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators])
     middle, half = ends.mean(axis=1), 0.5 * np.abs(np.diff(ends, axis=1))[:, 0]
     back = np.linalg.inv(decoupling)
@@ -852,7 +854,7 @@ def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[
 
 
 def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
-    """Return the uncertainty of the model of each axis from its measured response, where it has a variance."""
+    """Return the uncertainty of each axis' model from its measured response, if that has a variance."""
     found = {}
     for name, axis, analysis in zip(parameters.names, parameters.axes, analyses, strict=True):
         response = analysis.response
@@ -864,9 +866,10 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
 
 
 def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncertainties, list[str]]:
-    """Return uncertainties with the gains that the held-out data show above those of the file, and what to tell.
+    """Return uncertainties with gains that the held-out data show to exceed those of the file, and texts about them.
 
-    The hysteresis of slow loops gives small, fast movements another gain than they have, if it is of another class.
+    If the actuators have hysteresis of another class, the model identified from slow loops has a wrong gain for small,
+    fast movements.
     """
     found, said = dict(known), []
     for name, gain in zip(names, held_out.gains, strict=True):
@@ -883,7 +886,7 @@ def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncerta
 def design_identified(
     text: str, parameters: StageParameters, request: StageRequest, noise: float | None, analyses, known: Uncertainties
 ):
-    """Return the text with designed controllers, the designs, and the reason if they are missing.
+    """Return the text with designed controllers, the designs, and the reason if there are no designs.
 
     Units: ``noise`` [m], RMS.
     """
@@ -911,7 +914,7 @@ def design_identified(
 
 
 def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
-    """Return a warning for each loop whose sensitivity on the measured response exceeds the limit of a design."""
+    """Return a warning for each loop whose sensitivity with the measured response exceeds the limit of a design."""
     found = []
     for (name, design), analysis in zip(designs.items(), analyses, strict=True):
         response = analysis.response
@@ -929,7 +932,7 @@ def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
 
 
 def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> list[str]:
-    """Return a warning for each loop that is slower than the recording, or slow because its response is not known well.
+    """Return a warning for each loop slower than the recording, or slow because its response is not well known.
 
     Units: ``noise`` [m], RMS.
     """
@@ -955,7 +958,7 @@ def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> 
 
 
 def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
-    """Return the figures of an identification by names with units."""
+    """Return the figures of an identification, by names that contain their units."""
     figures: dict = {
         "type": plant.type,
         "order": plant.structure.order,
@@ -988,21 +991,21 @@ def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
 
 
 def _held_out(parameters: StageParameters, data: StructureData, held_out: int) -> HeldOut:
-    """Return the held-out data of the highest level and the prediction of the written stage, without the means."""
+    """Return the held-out data of the highest level and the prediction of the identified stage, without the means."""
     chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
     u, y = data.u[chosen[-1]], data.y[chosen[-1]]
-    # all repetitions but the last are the run-in
+    # all repetitions except the last let the model settle
     predicted = simulated(parameters, np.concatenate([u] * 4))[-len(u) :]
-    # as in the data, where creep moves the stage from period to period
+    # the drift is removed as in the data, where creep moves the stage from period to period
     predicted = without_drift(predicted[np.newaxis], data.period)[0]
-    # one mean of both, because the zeros of the sensors are no part of the prediction
+    # subtract one common mean difference, because the zeros of the sensors are not part of the prediction
     shift = (predicted - y).mean(axis=0)
     mean = y.mean(axis=0)
     return HeldOut(np.arange(len(u)) * data.sample_time, y - mean, predicted - mean - shift)
 
 
 def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
-    """Return the noise-free sensor readings of a stage [m], shape (N, n), under voltages ``u`` [V] from rest."""
+    """Return the noise-free sensor readings of a stage [m], shape (N, n), for voltages ``u`` [V] applied from rest."""
     stage = Stage(parameters)
     drives = np.empty_like(np.asarray(u, dtype=float))
     for i, plant in enumerate(stage.plants):
