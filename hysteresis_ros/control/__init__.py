@@ -9,8 +9,8 @@
 
 """Controllers that run in the loop, and the robustness of linear loops.
 
-Start with :mod:`.law` (definition and declaration of a controller) and one file of ``laws/``, then :mod:`.controller`,
-which chooses among them. ``damping/`` contains inner loops for any law; :mod:`.learning` and :mod:`.feedforward`
-supplement a law. :mod:`.margins` and :mod:`.uncertainty` evaluate loops; designs of gains are in
+Start with :mod:`.law` (definition and declaration of a controller) and one file in ``laws/``, then read
+:mod:`.controller`, which chooses among the laws. ``damping/`` contains inner loops for any law; :mod:`.learning` and
+:mod:`.feedforward` supplement a law. :mod:`.margins` and :mod:`.uncertainty` evaluate loops; designs of gains are in
 :mod:`hysteresis_ros.designs`.
 """

@@ -73,12 +73,12 @@ def _made(kind: str) -> type[MotionController]:
     )
 
 
-#: The classes by name.
+#: The classes, by name.
 CLASSES: dict[str, type[MotionController]] = {class_name(kind): _made(kind) for kind in LAWS}
 
 
 def __getattr__(name: str) -> type[MotionController]:
-    """Return the class of a controller."""
+    """Return the class of a controller by its name."""
     return find(CLASSES, name, "hysteresis_ros.controllers")
 
 

@@ -9,11 +9,11 @@
 
 """The motion controller: its laws by name, its parameters and blocks, and bumpless transfer to other laws or gains.
 
-A new law first processes the last samples of the run, as if it had run in parallel with its predecessor. An observer
-that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
-share the observer and its state. The integrated states of the new law are set so that the command continues from the
-present command; if this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
-difference decay.
+A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
+that starts from rest would move the command while it settles. Two controllers with the same model and Kalman filter
+share the observer and its state. The integrated states of the new law are set so that the command continues from its
+present value, or to zero if this is impossible. The hand-over after the controller then lets the remaining difference
+decay.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ LAWS: dict[str, ControllerLaw] = discover("hysteresis_ros.control.laws", "CONTRO
 
 
 def _designs() -> dict[str, tuple[ControllerLaw, Callable]]:
-    """Return law and design of each name; raise TypeError when two laws have a design of the same name."""
+    """Return the law and the design function for each name; TypeError if two laws declare a design of the same name."""
     found: dict[str, tuple[ControllerLaw, Callable]] = {}
     for law in LAWS.values():
         for name, function in law.designs.items():
@@ -58,14 +58,14 @@ def _designs() -> dict[str, tuple[ControllerLaw, Callable]]:
     return found
 
 
-#: Law and design of each name that ``hysteresis design --controller`` takes.
+#: Law and design function for each name that ``hysteresis design --controller`` accepts.
 DESIGNS = _designs()
 
 
 def with_groups(cls):
-    """Add the parameter groups of all laws to a class; the decorator follows ``@dataclass(frozen=True)``.
+    """Add the parameter groups of all laws to a class (decorator below ``@dataclass(frozen=True)``).
 
-    Groups with the name of a law come first, then shared groups.
+    Groups with the name of a law come first, then the groups that laws share.
 
         Raises
         ------
@@ -89,7 +89,7 @@ def with_groups(cls):
 
 
 def design_of(name: str):
-    """Return law and design of a name of ``hysteresis design``; ConfigurationError lists the known names."""
+    """Return law and design function for a name of ``hysteresis design``; ConfigurationError lists the known names."""
     if name not in DESIGNS:
         there = ", ".join(sorted(DESIGNS))
         raise ConfigurationError(f"no controller '{name}' to design; there are: {there}{did_you_mean(name, DESIGNS)}")
@@ -102,19 +102,19 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: not 0: the next output must equal the last output; 2.0: in addition, x[BIAS] already contains the constant
-#: part.
+#: x[ARMED]: not 0: the next output must be equal to the last output. 2.0: in addition, x[BIAS] already contains the
+#: difference that decays with the time constant.
 ARMED = 2
-#: x[QUICK]: additional bias, which is halved in each sample.
+#: x[QUICK]: additional bias that is halved in each sample.
 QUICK = 3
 
-#: A bias below this is set to zero, before it becomes a slow subnormal number.
+#: A bias below this value is set to zero, before it becomes a subnormal number, with which processors are slow.
 SMALLEST = 1e-300
 
 
 @kernel
 def handover(p, x, u):
-    """Return ``u + bias`` and let the bias decay; when armed, choose the bias so that the output stays the same."""
+    """Return ``u + bias`` and let the bias decay; when armed, choose the bias so that the output stays as it was."""
     if x[ARMED] != 0.0:
         lasting = x[ARMED] == 2.0
         x[ARMED] = 0.0
@@ -124,7 +124,7 @@ def handover(p, x, u):
                 x[QUICK] = x[LAST] - u - x[BIAS]
             else:
                 x[BIAS] = x[LAST] - u
-            # Exactly the last output, not u + (last - u) with its rounding.
+            # return exactly the last output, not u + (last - u), which has a rounding error
             return x[LAST]
         x[BIAS] = 0.0
     bias = x[BIAS] * p[DECAY]
@@ -143,7 +143,7 @@ def handover(p, x, u):
 
 @kernel
 def go_on_from(x, last):
-    """Make the next output equal ``last``, and fade from it to the input."""
+    """Make the next output equal to ``last``, and fade from it to the input."""
     x[LAST] = last
     x[ARMED] = 1.0
 
@@ -161,7 +161,7 @@ class HandoverParameters(Parameters):
 
 
 class Handover(Block):
-    """Adds a decaying bias to its input after :func:`arm`.
+    """Add a decaying bias to the input after :func:`arm`.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class Handover(Block):
     kernel = staticmethod(handover)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return [decay], decay = exp(-sample time / time), 0 when the time is 0."""
+        """Return the array [exp(-sample time / time)], [0] if the time is 0."""
         return np.array([elementary.exp(-self.sample_time / parameters.time) if parameters.time > 0.0 else 0.0])
 
     def initial_state(self) -> np.ndarray:
@@ -184,11 +184,11 @@ class Handover(Block):
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal to its last output, and let the difference from the input decay.
 
-    Used after a change of controller type or gains, after a stale measurement, and at a start after a stop. ``last`` is
-    the value to continue from, when another output (a safe one) was sent since the block's last output. ``lasting`` is
-    the mean recent difference between the output and the new input: only this part decays with the time constant. The
-    deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly decaying bias
-    from noise would disturb the feedback.
+    It is used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
+    ``last`` is the value to continue from if another (safe) output was sent after the block's last output. ``lasting``
+    is the mean recent difference between the output and the new input. Only this part decays with the time constant.
+    The rest of the present difference is mostly noise and is halved in each sample, because a slowly decaying bias from
+    noise would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -210,7 +210,7 @@ class ModelParameters(Parameters):
 @dataclass(frozen=True)
 @with_groups
 class ControllerParameters(Parameters):
-    """Motion controller: type, model, hand-over, and the groups of gains that the laws declare."""
+    """Motion controller: type, model, hand-over, and the parameter groups that the laws declare."""
 
     type: str = parameter(
         "open_loop",
@@ -232,7 +232,7 @@ class ControllerParameters(Parameters):
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return a parameter group that a law declares."""
+            """Return a parameter group that one of the laws declares."""
 
     @property
     def law(self):
@@ -241,7 +241,7 @@ class ControllerParameters(Parameters):
 
     @property
     def without_preload(self) -> ControllerParameters:
-        """These parameters without the preload's offset, for measurements without it; always the same instance."""
+        """These parameters with a preload offset of 0, for measurements without it; always the same instance."""
         if "_without_preload" not in self.__dict__:
             self.model.preload.validated("model.preload.")
             model = replace(self.model, preload=PreloadParameters())
@@ -249,7 +249,7 @@ class ControllerParameters(Parameters):
         return self.__dict__["_without_preload"]
 
     def before_damping(self, sample_time: float):
-        """Return the parameters for the law, whose model is the damped plant.
+        """Return the parameters for the law: their model is the damped plant.
 
         Raises
         ------
@@ -290,7 +290,7 @@ class ControllerParameters(Parameters):
             yield from error.problems
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return the warnings about groups and law, and about a preview that truncates the inverse."""
+        """Return the warnings of the groups and the law, and one about a preview that truncates the inverse."""
         found = super().warnings(prefix)
         if self.feedforward.type == "inverse_dynamics":
             found += preview_warning(self.model.dynamics, self.feedforward.preview, prefix)
@@ -298,10 +298,9 @@ class ControllerParameters(Parameters):
 
 
 def controller_block(parameters: ControllerParameters, sample_time: float) -> Controller:
-    """Return the controller of ``parameters``; if they contain damping, its model is the damped plant.
+    """Return the controller of ``parameters``; with damping, the model of this controller is the damped plant.
 
-    A ParameterError names a parameter out of range, the lack of a stable controller, or a model for another sample
-    time.
+    ParameterError: a parameter is out of range, there is no stable controller, or the model is for another sample time.
     """
     parameters.validated().model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
     own = parameters.before_damping(sample_time)
@@ -309,7 +308,7 @@ def controller_block(parameters: ControllerParameters, sample_time: float) -> Co
 
 
 def damping_block(parameters: ControllerParameters, sample_time: float) -> Damping:
-    """Return the damping block, which follows the controller.
+    """Return the damping block, which runs after the controller.
 
     ParameterError: the filter cannot run at this sample time, or the inner loop is unstable on the model.
     """
@@ -324,22 +323,22 @@ def prepare_controllers() -> None:
 
 
 def feedforward_block(parameters: ControllerParameters, sample_time: float) -> Feedforward:
-    """Return the feedforward block, which precedes the controller; ParameterError without the requested inverse."""
+    """Return the feedforward block, which runs before the controller; ParameterError if the inverse does not exist."""
     return Feedforward(parameters.before_damping(sample_time), sample_time)
 
 
 def handover_block(parameters: ControllerParameters, sample_time: float) -> Handover:
-    """Return the hand-over with the controller's ``handover_time``."""
+    """Return the hand-over block with the ``handover_time`` of the controller."""
     return Handover(HandoverParameters(time=parameters.handover_time), sample_time)
 
 
-#: Number of stored samples: long enough for an observer to settle.
+#: Number of stored samples, with which an observer can settle.
 SAMPLES = 500
 #: Number of last samples over which the commands of two controllers are compared.
 AVERAGED = 50
 
 
-# State of a history: number of entries, then a ring of the last samples, four numbers each.
+# State of a history: number of entries, then a ring of the last samples with four numbers each.
 ENTRIES = 0
 APPLIED_THEN, REFERENCE_THEN, FED_THEN, MEASURED_THEN = range(4)
 ENTRY = 4
@@ -386,7 +385,7 @@ class History:
 
     @property
     def samples(self) -> np.ndarray:
-        """The samples in order, shape (n, 4): applied, reference, fed, measured [m]."""
+        """The stored samples in order of time, shape (n, 4): applied, reference, fed, measured [m]."""
         count = int(self.x[ENTRIES])
         ring = self.x[1:].reshape(SAMPLES, ENTRY)
         if count <= SAMPLES:
@@ -397,18 +396,18 @@ class History:
 def successor(
     parameters: ControllerParameters, sample_time: float, predecessor: Controller, history: History
 ) -> tuple[Controller, float | None]:
-    """Return the controller of ``parameters`` for the sample after the last one of ``predecessor``, and ``lasting``.
+    """Return the controller of ``parameters`` that continues after the last sample of ``predecessor``, and ``lasting``.
 
-    ``predecessor`` is not changed. When ``history``, the last samples, is empty, the observer starts from rest at the
-    next measurement. ``lasting`` is the mean recent difference between achieved command and the new controller's
-    command [m], for :func:`hysteresis_ros.control.controller.arm`; None when it is unknown, or when the controller
-    continues from the present command. ParameterError: no controller can be built from the parameters.
+    ``predecessor`` is not changed. If ``history``, which contains the last samples, is empty, the observer starts from
+    rest at the next measurement. ``lasting`` is the mean recent difference between the achieved command and the command
+    of the new controller [m], for :func:`hysteresis_ros.control.controller.arm`. It is None if it is unknown, or if the
+    new controller continues from the present command. ParameterError: no controller can be built from the parameters.
     """
     made = controller_block(parameters, sample_time)
     lasting = None
     if made.runs_beside and len(history.samples):
         wanted = _beside(made, history)
-        # the achieved command of a sample is known one sample later
+        # the achieved command of a sample becomes known one sample later
         carried_out = history.samples[1:, APPLIED_THEN].tolist() + [predecessor.x[APPLIED]]
         recent = list(zip(carried_out, wanted, strict=True))[-AVERAGED:]
         lasting = math.fsum(one - other for one, other in recent) / len(recent)
@@ -423,7 +422,7 @@ def successor(
 
 
 def _beside(controller: Controller, history: History) -> list[float]:
-    """Run a controller over the last samples and return its commands."""
+    """Run a controller with the samples of a history and return its commands."""
     wanted = []
     for applied, reference, fed, measured in history.samples.tolist():
         controller.x[APPLIED] = controller.x[COMMAND] = applied

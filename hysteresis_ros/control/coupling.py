@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Coupled loops: interaction by a static gain, its decoupling, and the margins of several loops together.
+"""Coupled loops: interaction through a static gain, its decoupling, and the margins of several loops together.
 
 Loops are square, with n commands and n measurements. The loop transfer L is cut at the commands: plant, then
 controllers, with negative feedback, so that S = (I + L)⁻¹.
@@ -26,27 +26,27 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 from hysteresis_ros.models.linear_algebra import inverse
 
-#: Ratio of the smallest to the largest singular value below which a gain counts as singular.
+#: A gain counts as singular if the ratio of its smallest to its largest singular value is below this.
 SINGULAR = 1e-6
 #: Number of frequencies of the grid for margins, in addition to those around the poles.
 GRID = 1500
-#: Number of balancing sweeps that give the initial scalings.
+#: Number of balancing sweeps for the initial scalings.
 SWEEPS = 20
 #: Number of steps of the search for the peak between two points of the grid.
 STEPS = 40
-#: Relative accuracy of scalings during the search for the worst frequency, and at that frequency.
+#: Relative accuracy of the scalings: during the search for the worst frequency, and at this frequency.
 SOUGHT, KEPT = 1e-4, 1e-9
 
 
 def lost_direction(gain, names: Sequence[str]) -> str:
-    """Return the direction of the inputs that a singular gain maps to zero, such as ``+0.71 x, -0.71 y``.
+    """Return the combination of inputs that a singular gain maps to zero, such as ``+0.71 x, -0.71 y``.
 
-    It is empty for a regular gain, whose smallest singular value is more than :data:`SINGULAR` times the largest.
+    The text is empty for a regular gain: its smallest singular value is more than :data:`SINGULAR` times the largest.
     """
     _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
     if sizes[-1] > SINGULAR * sizes[0]:
         return ""
-    # the first of the largest entries is made positive
+    # the sign makes the first of the largest entries positive
     row = rows[-1] * np.sign(rows[-1][np.argmax(np.round(np.abs(rows[-1]), 6))])
     return ", ".join(f"{value:+.2f} {name}" for value, name in zip(row, names, strict=True))
 
@@ -54,13 +54,13 @@ def lost_direction(gain, names: Sequence[str]) -> str:
 def static_decoupling(gain, names: Sequence[str] = ()) -> np.ndarray:
     """Return the matrix that decouples a static gain: its inverse.
 
-    The commands of the actuators are this matrix times the commands of the degrees of freedom. It decouples motions
-    that are slow compared with the modes; at higher frequencies the modes couple the loops again.
+    The commands of the actuators are this matrix times the commands of the degrees of freedom. Only motions that are
+    slow compared with the modes are decoupled; at higher frequencies, the modes couple the loops again.
 
     Parameters
     ----------
     gain : array_like, shape (n, n)
-        From the commands of the actuators to the degrees of freedom, such as ``plant.dc_gain`` of a
+        Gain from the commands of the actuators to the degrees of freedom, for example ``plant.dc_gain`` of a
         :class:`.StateSpace`.
     names : sequence of str, optional
         Names of the actuators, for the message.
@@ -72,7 +72,7 @@ def static_decoupling(gain, names: Sequence[str] = ()) -> np.ndarray:
     Raises
     ------
     ParameterError
-        The gain is not square, or loses a direction, which the message names.
+        The gain is not square or is singular; the message states the direction that it maps to zero.
 
     Examples
     --------
@@ -93,8 +93,8 @@ def relative_gain_array(gain) -> np.ndarray:
     """Return the relative gain array Λ = G ∘ (G⁻¹)ᵀ of Bristol [1]_.
 
     Λ_ij is the gain from input j to output i with all other loops open, divided by the same gain with all other loops
-    closed and ideal. Rows and columns each sum to 1. Pairs with entries near one interact little; the gain of a pair
-    with a negative entry changes its sign when the other loops open.
+    closed and ideal. Each row and each column sums to 1. Pairs with entries near 1 interact little. If the entry of a
+    pair is negative, its gain changes sign when the other loops open.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def relative_gain_array(gain) -> np.ndarray:
            [0., 1.]])
     """
     gain = np.asarray(gain)
-    # adding zero converts -0, which the inverse of a triangular gain causes, to 0
+    # adding zero converts -0, which the inverse of a triangular gain contains, to 0
     return gain * np.swapaxes(np.linalg.inv(gain), -1, -2) + 0.0
 
 
@@ -138,7 +138,7 @@ def singular_values(response) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Disk margin of a loop, or of all loops together."""
+    """Disk margin of one loop, or of all loops together."""
 
     alpha: float  #: Size α of the disk; 0: unstable.
     frequency: float  #: Frequency at which the margin is reached [Hz]; NaN for an unstable loop.
@@ -146,18 +146,18 @@ class DiskMargin:
 
     @property
     def gains(self) -> tuple[float, float]:
-        """Smallest and largest allowed factor on the gain, without any change of phase."""
+        """Smallest and largest factor on the gain that the loop tolerates without a change of phase."""
         low, high = 0.5 * self.alpha * (1.0 - self.skew), 0.5 * self.alpha * (1.0 + self.skew)
         return (1.0 - low) / (1.0 + high), ((1.0 + low) / (1.0 - high) if high < 1.0 else math.inf)
 
     @property
     def gain_margin(self) -> float:
-        """Factor by which the gain may grow [dB]."""
+        """Factor by which the gain may increase [dB]."""
         return 20.0 * math.log10(self.gains[1])
 
     @property
     def phase_margin(self) -> float:
-        """Allowed change of the phase in both directions [degrees], without any change of gain."""
+        """Change of phase in either direction that the loop tolerates without a change of gain [degrees]."""
         low, high = self.gains
         cosine = low if math.isinf(high) else (1.0 + low * high) / (low + high)
         return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
@@ -167,36 +167,36 @@ class DiskMargin:
 class DiskMargins:
     """Disk margins of coupled loops, the result of :func:`disk_margins`."""
 
-    loops: tuple[DiskMargin, ...]  #: Margin of each loop alone, with the other loops closed and unchanged.
+    loops: tuple[DiskMargin, ...]  #: Margin of each loop alone; the other loops are closed and do not change.
     together: DiskMargin  #: Margin for independent simultaneous changes in all loops.
 
 
 def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> DiskMargins:
-    """Return the disk margins of coupled loops, for each loop alone and for all loops together.
+    """Return the disk margins of coupled loops: of each loop alone, and of all loops together.
 
     Each loop is multiplied by its own complex factor
 
         f = (1 + (1 - σ)/2 δ) / (1 - (1 + σ)/2 δ),  abs(δ) < α,
 
-    which is any change of gain and phase within a disk around 1. The margin is the largest α for which the loops stay
-    stable [1]_: 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2) for a loop by itself, and of the
-    structured singular value of S + (σ - 1)/2 I for independent factors in all loops. The latter is bounded from above
-    by the largest singular value of D (…) D⁻¹, minimised over diagonal D, which is exact for up to three loops; for
-    more loops the returned margin is conservative.
+    which represents any change of gain and phase within a disk around 1. The margin is the largest α for which the
+    loops stay stable [1]_. For a single loop, 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2);
+    for independent factors in all loops, of the structured singular value of S + (σ - 1)/2 I. The structured singular
+    value is bounded from above by the largest singular value of D (…) D⁻¹, minimised over diagonal D. This bound is
+    exact for up to three loops; for more loops the returned margin is conservative.
 
     Parameters
     ----------
     loop : StateSpace
-        Loop transfer L, n inputs and n outputs, cut where the changes act; negative feedback.
+        Loop transfer L with n inputs and n outputs, cut where the changes act, for negative feedback.
     sample_time : float
         [s]
     skew : float
-        Skew σ; 0 is the symmetric margin, 1 that of S, -1 that of T.
+        Skew σ; 0 gives the symmetric margin, 1 that of S, -1 that of T.
 
     Returns
     -------
     DiskMargins
-        All zero if the closed loop is unstable.
+        All margins are zero if the closed loop is unstable.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
 
 
 def _peak(function, angles, place: int) -> tuple[float, float]:
-    """Return angle and value of a maximum near a point of the grid, by golden section."""
+    """Return angle and value of the maximum near a point of the grid, by golden-section search."""
     low, high = angles[max(place - 1, 0)], angles[min(place + 1, len(angles) - 1)]
     best = (float(angles[place]), float(function(angles[place])))
     part = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -257,7 +257,7 @@ def _peak(function, angles, place: int) -> tuple[float, float]:
 
 
 def _balanced(matrices) -> tuple[np.ndarray, np.ndarray]:
-    """Return logarithmic scalings that balance rows and columns (Osborne), and the largest singular values with them.
+    """Return logarithmic scalings that balance rows and columns (Osborne), and the resulting largest singular values.
 
     Shapes: ``matrices`` (F, n, n), scalings (F, n), singular values (F,).
     """
@@ -276,7 +276,7 @@ def _balanced(matrices) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scaled(matrix, logs) -> float:
-    """Return the largest singular value of D M D⁻¹, D = exp(diag(logs))."""
+    """Return the largest singular value of D M D⁻¹ with D = exp(diag(logs))."""
     scales = np.exp(logs)
     return float(np.linalg.norm(matrix * scales[:, None] / scales, 2))
 
@@ -296,7 +296,7 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 
 def _worst(grid) -> int:
-    """Return the index of the largest structured singular value; matrices with a lower balanced bound are skipped."""
+    """Return the index of the largest structured singular value; matrices with a smaller balanced bound are skipped."""
     if grid.shape[1] == 1:
         return int(np.argmax(np.abs(grid[:, 0, 0])))
     _, sizes = _balanced(grid)

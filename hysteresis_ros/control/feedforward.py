@@ -7,14 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Feedforward: the command that makes the model follow the reference, by stable inversion of its dynamics (W6).
+"""Feedforward: the command with which the model follows the reference, by stable inversion of its dynamics (W6).
 
-**Zeros near the unit circle.** Sampling two modes, or a mode above half the sample rate, may give a pair of zeros half
-a per cent outside the unit circle, at frequencies far above those of the reference. Their exact inverse needs a command
-that oscillates at their frequency and grows long before the reference changes, and a small model error turns this
-command into a motion. Zeros inside the circle, and those near -1 from the zero-order hold, need a command that
-alternates long after each corner: the displacement is correct at the samples, but moves between them. The inverse
-leaves out such zeros without phase error. Let g(z⁻¹) be their polynomial with g(1) = 1. The reference passes through
+**Zeros near the unit circle.** If two modes, or a mode above half the sample rate, are sampled, a pair of zeros may be
+half a per cent outside the unit circle, at frequencies far above those of the reference. The exact inverse of these
+zeros needs a command that oscillates at their frequency and starts to grow long before the reference changes. A small
+model error turns this command into a motion. Zeros inside the circle, and the zeros near -1 that the zero-order hold
+causes, need a command that alternates long after each corner: the displacement is correct at the samples, but
+oscillates between them. The inverse leaves out all these zeros without phase error. Let g(z⁻¹) be their polynomial with
+g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
@@ -23,26 +24,27 @@ it differs from one by ε (1 - cos ω)/(1 - cos θ)/(…), at low frequencies in
 the smallest value with which p decays within :data:`REACH` samples: a larger range makes f more accurate and the
 preview longer.
 
-**Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later,
-where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose
-poles are the zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. With zeros outside, it
-would grow without bound; the part of the state that belongs to these zeros is instead summed backwards over the future
-references,
+**Stable inversion.** The dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples
+later, where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k), this equation is a system with the
+input r(k+d) whose poles are the zeros of the dynamics. For zeros inside the unit circle the system runs forwards,
+exactly. With zeros outside, its state would grow without bound. Therefore the part of the state that belongs to these
+zeros is summed backwards over the future references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
 which requires all future references. Only N future samples are known: the reference is assumed constant after r(k+N).
-The weights of the unknown part decay with the preview as |λ|^(-N), where λ is the smallest zero outside.
+The weights of the unknown future references decay with the preview as |λ|^(-N), where λ is the smallest zero outside
+the circle.
 
-**Delay.** A delay of whole samples adds to d. A fraction f of a sample is g = (1 - f) + f z⁻¹, whose zero is on the
-unit circle at f = 1/2; its exact inverse makes commands alternate from sample to sample. The fraction is inverted
-without phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z,
-which leaves an amplitude error (4 f (1 - f) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up to a tenth of the sample
-rate.
+**Delay.** A delay of whole samples adds to d. A fraction f of a sample is modelled by g = (1 - f) + f z⁻¹. At f = 1/2
+the zero of g is on the unit circle, and the exact inverse of g makes commands alternate from sample to sample. The
+fraction is inverted without phase error instead (Tomizuka 1987, doi:10.1115/1.3143822) by h = g* Σ_{i≤J} (1 - g g*)^i
+with g* = (1 - f) + f z. The remaining amplitude error is (4 f (1 - f) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up
+to a tenth of the sample rate.
 
-:func:`near_zeros` selects the zeros to leave out: those near or on the circle, far above the frequencies of a
-reference. The filter f contains these zeros as the factor g, so f and their inverse together are the finite impulse
-response g* p. If the preview is too short for it, the zeros inside the circle are inverted.
+:func:`near_zeros` selects the zeros to leave out: those near or on the circle, at frequencies far above those of a
+reference. The filter f contains these zeros as the factor g, so f and the inverse of these zeros together are the
+finite impulse response g* p. If the preview is too short for this response, the zeros inside the circle are inverted.
 
 **Without preview** the response to a reference that changes now is late by the delay of the dynamics. For a smooth
 reference, ``velocity`` commands r(k) + τ (r(k) - r(k-1)), with the mean delay τ of the dynamics [samples]: the error of
@@ -74,12 +76,13 @@ from hysteresis_ros.models.block import Block, kernel
 from hysteresis_ros.models.linear import LinearParameters, StateSpace, accumulate, advance
 from hysteresis_ros.models.linear_algebra import eigenvalues, inverse, polynomial, power, product, solve
 
-#: Modulus of zeros outside the circle whose weights need 64 samples to decay to 1e-4; those nearer to the circle need
-#: more. Zeros inside at the same distance ring as long.
+#: Modulus of zeros outside the circle whose weights need 64 samples to decay to 1e-4. The weights of zeros nearer to
+#: the circle need more samples. Zeros inside the circle at the same distance ring as long.
 FARTHEST = 1.155
-#: Smallest angle of zeros that are left out (a fifth of the sample rate); zeros below it are needed for tracking.
+#: Smallest angle of zeros that are left out (a fifth of the sample rate); zeros at lower angles are needed for
+#: tracking.
 LOWEST_ANGLE = 0.4 * math.pi
-#: Range of p on either side [samples], and the fraction to which p decays within it.
+#: Range of p on either side [samples], and the fraction to which p decays within this range.
 REACH, LEFT = 10, 1e-3
 #: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
@@ -89,7 +92,7 @@ TOLD = 0.01
 
 
 class Notch(NamedTuple):
-    """Replacement for the inverse of zeros near the circle. Weights are in the order of time, from past to future.
+    """Replacement for the inverse of zeros near the circle; weights are in the order of time, from past to future.
 
     Parameters
     ----------
@@ -127,9 +130,9 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out; zeros smaller than a zero of low angle cannot be separated from it and are kept.
+    """Return the zeros to leave out; zeros smaller than a zero of low angle cannot be separated from it, so they stay.
 
-    Zeros nearer to the circle than ``margin`` count as on it; ``inside`` includes those inside it.
+    Zeros nearer to the circle than ``margin`` count as zeros on the circle; ``inside`` includes the zeros inside it.
     """
     sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
     inner = np.max(sizes[low & (sizes < 1.0 - margin)], initial=1.0 / FARTHEST)
@@ -175,17 +178,17 @@ def notch(zeros: np.ndarray) -> Notch:
 SMALLEST_ANSWER = 1e-11
 #: Zeros nearer to the unit circle than this distance count as zeros on it.
 CIRCLE_MARGIN = 1e-6
-#: Error of the command, as a fraction of the reference's span, at which a preview is long enough.
+#: Largest error of the command, as a fraction of the reference's span, with which a preview counts as long enough.
 GOOD_ENOUGH = 1e-3
-#: Error that a design without a requested preview accepts, and its longest preview [samples].
+#: Largest error that a design accepts if no preview is requested, and longest preview of such a design [samples].
 DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
-#: Weights of future references are computed until they have decayed by this many powers of ten ...
+#: Weights of future references are computed until they have decayed by this number of powers of ten ...
 DECADES = 18.0
-#: ... or for this many samples: a zero that needs more is too near to the circle for any preview.
+#: ... or for this number of samples: a zero that needs more samples is too near to the circle for any preview.
 LONGEST = 200_000
 #: J, the number of correction terms in the inverse of a delay of a fraction of a sample.
 TERMS = 3
-#: Newton steps for the matrix sign function, and the change at which it has converged.
+#: Maximum number of Newton steps for the matrix sign function, and change below which it has converged.
 SIGN_STEPS = 60
 SETTLED = 1e-14
 #: The radius of the circle that separates modes is at least the root of this number times the smallest outer mode.
@@ -201,21 +204,21 @@ class InverseFilter:
     Parameters
     ----------
     first : int
-        The relative degree d [samples]; smaller, possibly negative, with a fraction of a sample or left-out zeros.
+        The relative degree d [samples]. It is smaller, possibly negative, with a fractional delay or left-out zeros.
     weights : ndarray, shape (m,)
-        Weights of r(k+first) … up to the preview; the last one includes the weights of all references beyond.
+        Weights of r(k+first) … up to the preview; the last weight includes those of all references beyond the preview.
     drive : ndarray, shape (l,)
-        Weights that drive the causal part: 1 without a fraction of a sample and without left-out zeros.
+        Weights that drive the causal part: 1 without a fractional delay and without left-out zeros.
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
-        The causal part, with the zeros inside the unit circle, in the coordinates of the dynamics' state.
+        The causal part, which belongs to the zeros inside the unit circle, in the coordinates of the dynamics' state.
     rest : ndarray, shape (n,)
         Steady state s for a constant reference of 1 m.
     zeros : ndarray of complex
-        Zeros of the dynamics, except those at infinity and at 0, which only delay.
+        Zeros of the dynamics, except zeros at infinity and at 0, which are only a delay.
     error : float
-        Largest error of the command at this preview, as a fraction of the span of the reference: the sum of the
-        magnitudes of the truncated weights, Σ |w_i|, a bound for every reference with a span of 1; 0 when no zero is
-        outside the unit circle.
+        Largest error of the command at this preview, as a fraction of the span of the reference. It is the sum of the
+        magnitudes of the truncated weights, Σ |w_i|, which is a bound for every reference with a span of 1. It is 0 if
+        no zero is outside the unit circle.
     left_out : Notch or None
         Zeros near the circle that are not inverted, and their replacement.
     """
@@ -240,7 +243,7 @@ class InverseFilter:
 
 
 class _Parts(NamedTuple):
-    """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
+    """The inverse in two parts, in model units: causal (A, B, C); anti-causal (Λ⁻¹, β, γ), or None; and feedthrough.
 
     The anti-causal part is in the coordinates of the dynamics' state, where Λ⁻¹ is zero for the modes inside the
     circle. ``near`` contains the weights of the left-out modes for the reference filtered by g* p, from m samples ago
@@ -259,14 +262,14 @@ class _Parts(NamedTuple):
 
     @property
     def slowest(self) -> float:
-        """Magnitude of the smallest zero that is inverted backwards."""
+        """Magnitude of the smallest zero that is inverted backwards in time."""
         sizes = np.abs(self.zeros)
         left_out = 0.0 if self.left_out is None else float(np.max(np.abs(self.left_out.zeros)))
         return float(np.min(sizes[sizes > max(1.0, left_out)]))
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
-    """Return the samples until the output first responds to an input, with delay; ParameterError if it never does."""
+    """Return the samples, delay included, until the output responds to an input; ParameterError if it never does."""
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
 
 
@@ -303,20 +306,20 @@ def _matrices_degree(dynamics: LinearParameters) -> int:
 
 
 def _vectors(dynamics: LinearParameters):
-    """Return A, B and C (vectors, shape (n,)) and D (a float) of one input and one output, without the delay."""
+    """Return A, B, C (vectors, shape (n,)) and D (a float) of a model with one input and output, without delay."""
     model = dynamics.matrices
     return model.A, model.B[:, 0], model.C[0], model.D.item()
 
 
 def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
-    """Return the parts of the inverse; ``inside``: whether the ringing zeros inside the circle are left out too."""
+    """Return the parts of the inverse; ``inside``: whether ringing zeros inside the circle are left out as well."""
     A, B, C, D = _vectors(dynamics)
     degree = _matrices_degree(dynamics)
     answer = float(product(C, power(A, degree - 1), B)) + (D if degree == 1 else 0.0)
     gain = product(C, power(A, degree)) / answer
     inner, drive = A - np.outer(B, gain), B / answer
     poles = eigenvalues(inner)
-    # the inverse has as many poles as the dynamics; those without a zero of the dynamics are at 0
+    # the inverse has as many poles as the dynamics; poles that are not zeros of the dynamics are at 0
     finite = len(A) - degree + (1 if D else 0)
     zeros = poles[np.argsort(-np.abs(poles))][: max(finite, 0)]
     near = near_zeros(zeros, CIRCLE_MARGIN, inside)
@@ -347,7 +350,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return the response of modes, m … 1 samples after a pulse that passes through their cancelling factor."""
+    """Return the response of the modes m … 1 samples after a pulse that passes the factor that cancels these modes."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -356,17 +359,17 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 
 
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
-    """Return the projection, shape (n, n), onto the modes with modulus above an edge, along the other modes.
+    """Return the projection, shape (n, n), along the other modes onto the modes with modulus above ``edge``.
 
-    It follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, computed by Newton's iteration. The radius ρ lies
-    between the larger and the smaller modes.
+    The projection follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, computed by Newton's iteration. The radius
+    ρ lies between the larger and the smaller modes.
     """
     identity, larger = np.eye(len(matrix)), sizes > edge
     if np.all(larger):
         return identity
     if not np.any(larger):
         return np.zeros_like(identity)
-    # a radius between both, not smaller than needed: modes that coincide at 0 make M - ρ nearly singular near 0
+    # a radius between both groups, but not too small: modes that coincide at 0 make M - ρ nearly singular near 0
     outer = np.min(sizes[larger])
     radius = math.sqrt(max(np.max(sizes[~larger]), NEAREST * outer) * outer)
     sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
@@ -380,12 +383,12 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i [m/m] of r(k+d+i) from the outside zeros, up to those that are only rounding errors."""
+    """Return the weights w_i [m/m] of r(k+d+i) due to the outside zeros, until they are only rounding errors."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
     length = min(int(DECADES / math.log10(parts.slowest)) + 2, LONGEST)
-    # rows out N, out N², …: each pass multiplies the present rows by a power of N and doubles their number
+    # rows out N, out N², …: each pass multiplies the present rows by a power of N, which doubles their number
     rows, further = product(out, backwards)[np.newaxis], backwards
     while len(rows) < length:
         rows, further = np.concatenate([rows, product(rows, further)]), product(further, further)
@@ -410,10 +413,10 @@ def _remaining(weights: np.ndarray) -> np.ndarray:
 
 
 def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
-    """Return the stable inverse of ``dynamics`` for a reference known ``preview`` samples ahead.
+    """Return the stable inverse of ``dynamics`` for a reference that is known ``preview`` samples ahead.
 
-    With enough preview the model's output at sample k is the reference r(k) at every sample. Without dynamics (no A)
-    the inverse is the identity; with preview it compensates the sample of delay from a command to its displacement.
+    With enough preview, the model's output is equal to the reference r(k) at every sample k. Without dynamics (no A),
+    the inverse is the identity; with preview, it compensates the one-sample delay from a command to its displacement.
 
     Parameters
     ----------
@@ -434,7 +437,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
     if preview < parts.degree + whole + _reach(parts, part):
-        parts = _parts(dynamics, inside=False)  # without preview the zeros inside are inverted, and ring
+        parts = _parts(dynamics, inside=False)  # without enough preview the zeros inside are inverted, and ring
     advance = _advance(part)
     drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
     ahead = _reach(parts, part)
@@ -458,7 +461,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
 
 
 def _reach(parts: _Parts, part: float) -> int:
-    """Return the preview [samples] beyond the relative degree that a fractional delay or omitted zeros require."""
+    """Return the preview [samples] that a fractional delay or left-out zeros need beyond the relative degree."""
     return len(_advance(part)) // 2 + (0 if parts.left_out is None else parts.left_out.reach)
 
 
@@ -472,7 +475,7 @@ def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: in
 
 
 def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -> int:
-    """Return the smallest preview [samples] with an inversion error of at most ``error``.
+    """Return the smallest preview [samples] with which the inversion error is at most ``error``.
 
     ParameterError: the dynamics have no stable inverse.
     """
@@ -498,7 +501,7 @@ def designed_preview(dynamics: LinearParameters) -> int:
 
 
 def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") -> tuple[str, ...]:
-    """Return warnings: this preview truncates the inverse by more than 1e-3, or the inverse leaves out zeros."""
+    """Return a warning if this preview truncates the inverse by more than 1e-3, and one if zeros are left out."""
     found, given = [], inverse_filter(dynamics, preview)
     if given.left_out is not None:
         rate = 1.0 / dynamics.sample_time if dynamics.sample_time else 1.0
@@ -518,8 +521,8 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
     return tuple(found)
 
 
-# Parameter array: a head, the weights of the references (as many as the ring has entries), the weights that drive the
-# causal part, then its A (n·n, row by row), B, C and its steady state for a reference of 1 (n each).
+# Parameter array: a head; the weights of the references, as many as the ring has entries; the weights that drive the
+# causal part; then A (n·n, row by row), B, C and the steady state for a reference of 1 (n each) of the causal part.
 PREVIEW = 0
 ORDER = 1
 FIRST = 2  # index of the first weight relative to the oldest reference in the ring
@@ -528,19 +531,19 @@ PAST = 4  # number of references before the delayed one
 DRIVES = 5  # number of weights that drive the causal part
 WEIGHTS = 6
 
-# State array: a head, then the references r(k - past) … r(k + N) in a ring, n states and n numbers of scratch.
+# State array: a head; the references r(k - past) … r(k + N) in a ring; n states; and n entries of scratch.
 COMMAND = 0  # command of the feedforward for the delayed reference [m]
-STARTED = 1  # 0.0: the next call assumes that the reference has always been constant
-NEXT = 2  # index in the ring for the next reference
+STARTED = 1  # 0.0: the next call assumes that the reference has been constant so far
+NEXT = 2  # index in the ring at which the next reference is stored
 GIVEN = 3  # part of the command that the feedforward of a stage adds [m]; 0 for a single axis
 NEWEST = 4  # reference of the last call [m]
-CALLS = 5  # number of calls since the feedforward of a stage has taken the reference
+CALLS = 5  # number of calls since the feedforward of a stage has last read the reference
 RING = 6
 
 
 @kernel
 def feedforward(p, x, reference):
-    """Return the delayed reference [m] for ``reference`` [m]; the feedforward's command [m] is stored in ``x[0]``."""
+    """Store ``reference`` [m] and return the delayed reference [m]; store the feedforward's command [m] in ``x[0]``."""
     length = int(p[PREVIEW]) + 1 + int(p[PAST])
     n = int(p[ORDER])
     drive = WEIGHTS + length
@@ -612,14 +615,14 @@ class FeedforwardParameters(Parameters):
 
     @property
     def inverts(self) -> bool:
-        """Whether the model follows the reference under this feedforward: exactly, or if it is smooth."""
+        """Whether the model follows the reference with this feedforward: exactly, or at least a smooth reference."""
         return self.type in ("velocity", "inverse_dynamics")
 
 
 class Feedforward(Block):
-    """The feedforward of a motion controller: from the received to the delayed reference and a command.
+    """The feedforward of a motion controller: from the received reference to the delayed reference and a command.
 
-    It starts in the steady state of the first reference.
+    It starts in the steady state for the first reference.
 
     Parameters
     ----------
@@ -631,8 +634,8 @@ class Feedforward(Block):
     Raises
     ------
     ParameterError
-        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or they are for
-        another sample time.
+        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or they are meant
+        for another sample time.
     """
 
     kernel = staticmethod(feedforward)
@@ -660,14 +663,14 @@ class Feedforward(Block):
     def retune(self, parameters) -> None:
         """Change to another model of the same order while running.
 
-        References and states continue, so the command does not jump while the reference is constant. For a moving
-        reference the caller arms the hand-over after the controller.
+        References and states continue, so the command does not jump while the reference is constant. If the reference
+        moves, the caller must arm the hand-over behind the controller.
 
         Raises
         ------
         ParameterError
-            Type, preview or the order of the model differ, or the new model cannot be inverted; nothing is changed
-            then.
+            The type, the preview or the order of the model differs, or the new model cannot be inverted. Nothing is
+            changed then.
         """
         parameters = parameters.validated()
         for name in ("type", "preview"):
@@ -680,7 +683,7 @@ class Feedforward(Block):
                 [Problem("model.dynamics.A", parameters.model.dynamics.A, "the model's order is fixed while running")]
             )
         self.parameters = parameters
-        # so that a feedforward in its steady state stays there with the new model
+        # the states are shifted so that a feedforward in its steady state stays in the steady state of the new model
         length, order = _ring_length(packed), int(packed[ORDER])
         ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order

@@ -7,25 +7,25 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Kalman filter with steady gain, in predictor or current form, with or without a model of the disturbance (K6).
+"""Kalman filter with a steady gain, in predictor or current form, with or without a model of the disturbance (K6).
 
 All signals are in the model's own units. At sample k the filter receives the input actually applied at sample k - 1 and
-the measurement y_k = C x_k + D u_(k-1). With d̂_k the estimated disturbance of the input in sample k:
+the measurement y_k = C x_k + D u_(k-1). With the estimated disturbance d̂_k of the input in sample k, the forms are
 
 predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1)) + L ε_(k-1)        (y_k acts from sample k + 1)
 current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1))    (y_k acts in this sample)
 
 where ε is the innovation, measured minus predicted output. Kim, Kim & Park 2009, eqs 13-15, print the predictor form
-and call it current.
+and call it the current form.
 
 The disturbance d has its own model, w⁺ = A_d w, d = c_d w (internal model principle; Francis & Wonham 1976):
 
 constant    d⁺ = d
 ramp        d⁺ = d + v, v⁺ = v
-periodic    a constant, and at the frequency and each of its harmonics a resonator a⁺ = cos(φ) a + sin(φ) b,
-            b⁺ = cos(φ) b - sin(φ) a with the phase φ of one sample; d is the constant and the sum of all a
+periodic    a constant and, at the frequency and each of its harmonics, a resonator a⁺ = cos(φ) a + sin(φ) b, b⁺ =
+            cos(φ) b - sin(φ) a with the phase advance φ per sample; d is the constant and the sum of all a
 
-At sample k a controller compensates d̂_k, predicted for the sample in which its command acts.
+At sample k, a controller compensates d̂_k, which is predicted for the sample in which the command acts.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from hysteresis_ros.models.block import Block, compiled, kernel
 from hysteresis_ros.models.linear import StateSpace, accumulate
 from hysteresis_ros.models.linear_algebra import product
 
-# Parameter array: a head, then A (rows), B, C, L, N_x of the model, then A_d (rows), c_d, gain and feedthrough of the
-# disturbance's model.
+# Parameter array: a head; A (row by row), B, C, L and N_x of the model; A_d (row by row), c_d, gain and feedthrough of
+# the disturbance's model.
 ORDER = 0
 CURRENT = 1
 DISTURBED = 2  # number of states of the disturbance's model
@@ -51,7 +51,7 @@ FEEDTHROUGH = 3
 REST_INPUT = 4
 MATRICES = 5
 
-# State array: a head, then the estimate x̂ and n entries of scratch, then the same for w.
+# State array: a head; the estimate x̂ and n entries of scratch; the estimate of w and as many entries of scratch.
 RUNNING = 0
 INNOVATION = 1
 OFFSET = 2
@@ -60,7 +60,7 @@ ESTIMATE = 3
 
 @kernel
 def input_matrix(p, first):
-    """Return the index in ``p`` of the model's B, if the filter's part begins at p[first]."""
+    """Return the index in ``p`` of the model's B; the filter's part of ``p`` begins at p[first]."""
     n = int(p[first + ORDER])
     return first + MATRICES + n * n
 
@@ -73,7 +73,7 @@ def rest_state(p, first):
 
 @kernel
 def filter_length(p, first):
-    """Return the number of entries of the filter in the state array."""
+    """Return the number of entries that the filter has in the state array."""
     return ESTIMATE + 2 * (int(p[first + ORDER]) + int(p[first + DISTURBED]))
 
 
@@ -81,7 +81,8 @@ def filter_length(p, first):
 def kalman_step(p, x, first, start, applied, measured):
     """Update the estimate and return the estimated output; the filter's arrays begin at p[first] and x[start].
 
-    ``applied`` is the input actually applied at the previous sample, ``measured`` the measurement of this sample.
+    ``applied`` is the input that was actually applied in the previous sample, ``measured`` the measurement of this
+    sample.
     """
     n = int(p[first + ORDER])
     m = int(p[first + DISTURBED])
@@ -99,7 +100,7 @@ def kalman_step(p, x, first, start, applied, measured):
     cause = following + n
     coming = cause + m
     if x[start + RUNNING] == 0.0:
-        # the plant is assumed to be at rest at its measured position, under a constant disturbance
+        # assume that the plant is at rest at its measured position, under a constant disturbance
         x[start + RUNNING] = 1.0
         x[start + INNOVATION] = 0.0
         for i in range(n):
@@ -213,10 +214,10 @@ def disturbance_states(parameters: KalmanParameters) -> int:
 
 
 def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
-    """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances of the change of w per sample.
+    """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances of the noise of w per sample.
 
-    Shapes: A_d (m, m), c_d and variances (m,). Only a periodic disturbance needs the sample time [s]. ParameterError:
-    ``kalman.disturbance_frequency`` is out of range, or a variance is zero.
+    Shapes: A_d (m, m), c_d and variances (m,). The sample time [s] is needed only for a periodic disturbance.
+    ParameterError: ``kalman.disturbance_frequency`` is out of range, or a variance is zero.
     """
     m = disturbance_states(parameters)
     A_d, c_d, variances = np.eye(m), np.zeros(m), np.zeros(m)
@@ -254,10 +255,11 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
 
 
 def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: float | None = None):
-    """Return the gain in the chosen form, shape (n + m,) with m states of the disturbance's model.
+    """Return the filter gain in the chosen form, shape (n + m,); the disturbance's model has m states.
 
-    ``model`` has one input and one output, in its own units; only a periodic disturbance needs the sample time [s]. A
-    ParameterError names the parameter of ``kalman``, or ``model.dynamics.C``, from which no stable filter follows.
+    ``model`` has one input and one output and is in its own units. The sample time [s] is needed only for a periodic
+    disturbance. ParameterError: there is no stable filter with the named parameter of ``kalman`` or with
+    ``model.dynamics.C``.
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:
@@ -316,7 +318,7 @@ def kalman_state_size(parameters: KalmanParameters, order: int) -> int:
 
 
 class KalmanFilter(Block):
-    """The filter on its own, in the model's units: ``step(applied, measured)`` returns the estimated output.
+    """The filter as a separate block, in the model's units: ``step(applied, measured)`` returns the estimated output.
 
     Parameters
     ----------
@@ -330,7 +332,7 @@ class KalmanFilter(Block):
     kernel = staticmethod(kalman)
 
     def __init__(self, parameters: KalmanParameters, sample_time: float, dynamics):
-        """Check the model, then build the block; arguments as in the class."""
+        """Check the model, then build the block; the arguments are those of the class."""
         self.dynamics = dynamics.validated("model.dynamics.")
         super().__init__(parameters, sample_time)
 
@@ -347,7 +349,7 @@ class KalmanFilter(Block):
         return self.kernel(self.p, self.x, float(applied), float(measured))
 
     def simulate(self, applied, measured) -> np.ndarray:
-        """Return the estimated outputs, shape (N,), for recorded ``applied`` and ``measured``, shape (N,)."""
+        """Return the estimated outputs for recorded signals ``applied`` and ``measured``, all of shape (N,)."""
         applied = np.ascontiguousarray(applied, dtype=np.float64)
         measured = np.ascontiguousarray(measured, dtype=np.float64)
         output = np.empty_like(applied)
@@ -356,5 +358,5 @@ class KalmanFilter(Block):
 
     @property
     def estimate(self) -> np.ndarray:
-        """The estimated state, shape (n,); a copy."""
+        """Copy of the estimated state, shape (n,)."""
         return self.x[ESTIMATE : ESTIMATE + self.dynamics.order].copy()

@@ -9,8 +9,9 @@
 
 """Definition and declaration of a controller: common entries of its arrays, base class, law, design and checks.
 
-A controller is a kernel ``u = kernel(p, x, r, y)``: reference displacement r without preload offset [m], measured
-displacement y [m], command u [m] to the hysteresis compensator. The first entries of every state array are the same.
+A controller is a kernel ``u = kernel(p, x, r, y)``: r is the reference displacement without preload offset [m], y the
+measured displacement [m], and u the command to the hysteresis compensator [m]. The first entries of every state array
+are the same.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import StateSpace
 
-#: x[APPLIED]: achieved command of the previous sample [m]. The kernel writes its own command there; before the next
-#: call the loop replaces it by the achieved command.
+#: x[APPLIED]: achieved command of the previous sample [m]. The kernel stores its own command in this entry; before the
+#: next call, the loop replaces it by the achieved command.
 APPLIED = 0
-#: x[ESTIMATED]: displacement estimated by the observer [m], comparable with the measured one (including the preload
-#: offset).
+#: x[ESTIMATED]: displacement estimated by the observer [m]; like the measured displacement, it includes the preload
+#: offset.
 ESTIMATED = 1
 #: x[SWITCHING]: switching function s, in the model's units.
 SWITCHING = 2
@@ -41,22 +42,22 @@ SWITCHING = 2
 COMMAND = 3
 #: x[DISTURBANCE]: estimated constant disturbance of the command [m].
 DISTURBANCE = 4
-#: x[STARTED]: 0.0 makes the next call start the observer from rest at the measured displacement.
+#: x[STARTED]: with 0.0, the next call starts the observer from rest at the measured displacement.
 STARTED = 5
 #: x[FEEDFORWARD]: command of the feedforward for this sample [m]; the loop writes it before the call.
 FEEDFORWARD = 6
 #: Number of entries of the common part of x.
 HEADER = 7
-#: p[FED], the first entry of the parameters of every controller: 1.0 when there is a feedforward.
+#: p[FED], the first parameter of every controller: 1.0 if there is a feedforward.
 FED = 0
 
-#: Signals are limited to this magnitude, so that no product or sum becomes infinite.
+#: Signals are limited to this magnitude, so that products and sums stay finite.
 BOUND = 1e60
 
 
 @kernel
 def bounded(value):
-    """Return ``value`` limited to ±1e60; NaN, which the nodes do not pass on, becomes 0."""
+    """Return ``value`` limited to ±1e60; NaN becomes 0, but the nodes pass no NaN on."""
     if value != value:
         return 0.0
     if value > BOUND:
@@ -68,13 +69,13 @@ def bounded(value):
 
 @composite("void", "controller", "array", "array", "array", "array", "array")
 def run_controller(step, p, x, r, y, u):
-    """Fill ``u[k] = step(p, x, r[k], y[k])`` for all k, for recorded inputs."""
+    """Set ``u[k] = step(p, x, r[k], y[k])`` for every sample k of recorded inputs."""
     for k in range(u.shape[0]):
         u[k] = step(p, x, r[k], y[k])
 
 
 class Controller(Block):
-    """Base of the controllers: a block with two inputs.
+    """Base class of the controllers: a block with two inputs.
 
     Parameters
     ----------
@@ -83,18 +84,18 @@ class Controller(Block):
         Sample time [s].
     """
 
-    #: Whether the controller continues with its observer's prediction while the measurement is NaN.
+    #: Whether the controller continues with the prediction of its observer while the measurement is NaN.
     predicts = False
 
     #: Whether the controller can process past samples of another controller, as if it had run in parallel.
     runs_beside = False
 
     def shares_observer(self, other: Controller) -> bool:
-        """Return whether another controller has the same observer, so that its state can be taken over."""
+        """Return whether another controller has the same observer, so that the observer's state can be taken over."""
         return False
 
     def continue_from(self, predecessor: Controller) -> None:
-        """Take over the observer's state from another controller with the same observer.
+        """Take over the observer's state from another controller that has the same observer.
 
         Raises
         ------
@@ -104,7 +105,7 @@ class Controller(Block):
         raise TypeError(f"{type(self).__name__} has no observer to take over")
 
     def forget(self) -> None:
-        """Reset the integrated states: errors while another law was active do not belong in this law's integral."""
+        """Reset the integrated states: errors during another law's operation do not belong in this law's integral."""
 
     def settle(self, applied: float) -> bool:
         """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
@@ -123,12 +124,12 @@ class Controller(Block):
         return command
 
     def retune(self, parameters) -> None:
-        """Change the gains while running; the caller arms the hand-over, so that the command does not jump.
+        """Change the gains while running; the caller must arm the hand-over, so that the command does not jump.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure; the controller is unchanged then.
+            The parameters are wrong or change the structure; the controller stays unchanged then.
         """
         parameters = parameters.validated()
         if parameters.type != self.parameters.type:
@@ -148,19 +149,19 @@ class Controller(Block):
         self.p[:] = packed
 
 
-#: Parameters that switch the feedforward off.
+#: Parameters with which there is no feedforward.
 UNFED: Mapping[str, Any] = {"feedforward.type": "none", "feedforward.preview": 0}
 
 
 @dataclass(frozen=True, eq=False)
 class DesignTask:
-    """The task of a design: find gains of a controller for the model in its parameters.
+    """Task of a design: find the gains of a controller for the model in the controller's parameters.
 
     Parameters
     ----------
     parameters : ControllerParameters
-        Parameters with the type of controller. Their model is minimal and stable; the design keeps the values that it
-        does not determine.
+        Parameters with the type of the controller. Their model is minimal and stable. The design keeps all values that
+        it does not determine.
     sample_time : float
         [s]
     bandwidth : float or None
@@ -185,25 +186,26 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model, and the worst of the other figures on all plants, or until one fails."""
+        """Return the bandwidth on the model, and the worst other figures over the plants up to the first that fails."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Gains that can be tuned by a criterion of the simulated loop.
+    """Gains that can be tuned by a criterion in a simulation of the loop.
 
     Parameters
     ----------
     gains : tuple of str
-        Names of the gains in the controller's own group; gains that are 0 at the start stay 0.
+        Names of the gains in the controller's own group. Gains that are 0 at the start stay 0.
     start : callable
-        ``start(parameters, sample_time)`` returns the initial parameters.
+        ``start(parameters, sample_time)`` returns the parameters with which the tuning starts.
     loop : callable
-        ``loop(parameters, sample_time)`` returns controller and model, whose margins are evaluated for each candidate.
+        ``loop(parameters, sample_time)`` returns controller and model; the margins are computed from them for each
+        candidate.
     required : Requirements
-        Requirements; gains that miss them are refused.
+        Requirements; gains that do not meet them are rejected.
     """
 
     gains: tuple[str, ...]
@@ -245,20 +247,21 @@ class ControllerLaw:
     description : str
         Short description for the table of parameters.
     groups : mapping of str to type, optional
-        Groups of the motion controller's parameters that the law uses, by name. A group that has the name of the law
-        and that no other law uses is checked only while the law is chosen.
+        Parameter groups of the motion controller that the law uses, by name. A group that has the name of the law and
+        that no other law uses is checked only if this law is chosen.
     feedback : bool, optional
-        Whether the law uses the measurement; for a law without feedback the frequency of a reference is not checked.
+        Whether the law uses the measurement. For a law without feedback, the frequency of a reference is not checked.
     check : callable, optional
-        ``check(parameters, sample_time)`` raises ParameterError, with names relative to the motion controller's
-        parameters, when they give no stable controller; the sample time is None if it is unknown.
+        ``check(parameters, sample_time)`` raises ParameterError if the parameters give no stable controller; names are
+        relative to the parameters of the motion controller. The sample time is None if it is not known.
     warnings : callable, optional
-        ``warnings(parameters, prefix)`` returns warnings as sentences; ``prefix`` precedes names of parameters.
+        ``warnings(parameters, prefix)`` returns warnings as sentences, with ``prefix`` in front of the names of
+        parameters.
     near_rest : callable, optional
-        ``near_rest(parameters)`` takes parameters without preload offset and feedforward and returns those with which
-        the kernel is linear close to rest.
+        ``near_rest(parameters)`` receives parameters without preload offset and feedforward, and returns the parameters
+        with which the kernel is linear close to rest.
     designs : mapping of str to callable, optional
-        Name for ``hysteresis design --controller`` → ``design(task)``, which returns parameters with gains for a
+        Name for ``hysteresis design --controller`` → ``design(task)``, which returns the parameters with gains for a
         :class:`DesignTask`.
     rows : callable, optional
         ``rows(parameters, sample_time)`` returns (name, text) of each row that a design prints about its gains.

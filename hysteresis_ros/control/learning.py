@@ -9,22 +9,23 @@
 
 """Learning over periods: the correction of a periodic reference, its parameters, kernel, block and file.
 
-m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the correction m_j of period j, the error e_j = r − y of that period,
-the zero-phase robustness filter Q, and the error filter G = Q L (iterative learning control [1]_; as a plug-in it is
-repetitive control [2]_). γ_j = 1 gives the usual law. A smaller γ_j averages noise over periods and does not change the
-limit of m.
+m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the correction m_j and the error e_j = r − y of period j, the zero-phase
+robustness filter Q, and the error filter G = Q L. This is iterative learning control [1]_; as a plug-in of a running
+loop it is repetitive control [2]_. γ_j = 1 gives the usual law. A smaller γ_j averages noise over periods and does not
+change the limit of m.
 
 Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
-from the samples around the same instant of the previous period. So the end of a period needs no additional computation.
+from the samples around the same instant of the previous period. Therefore the end of a period needs no additional
+computation.
 
-The ring of errors contains a number that is not finite for each sample that cannot be used for learning. If more than a
-tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If a saturated command is the
-reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes
-an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter
-than after saturation, because one late sample is a small disturbance. When the reference differs from that of the
-previous period, the correction is phased out. It differs from that of a file while the axis approaches the path; there
-the correction is phased out too, but it stays stored until the axis reaches the path, or until another reference
-repeats.
+For each sample that cannot be used for learning, the ring of errors contains a number that is not finite. If more than
+a tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If saturated commands are
+the reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage
+causes an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is
+shorter than after saturation, because one late sample is a small disturbance. When the reference differs from that of
+the previous period, the correction is phased out. While an axis approaches the path of its scan, its reference also
+differs from the reference in the file of a correction. The correction is then phased out too, but it stays stored until
+the axis reaches the path, or until another reference repeats.
 
 References
 ----------
@@ -48,7 +49,7 @@ from hysteresis_ros.models.block import Block, called, kernel
 
 #: Maximum number of taps of a filter, and the longest period [samples].
 MOST_TAPS, LONGEST = 256, 100_000
-#: Tolerance for a period of whole samples [samples].
+#: Tolerance for a period that is a whole number of samples [samples].
 WHOLE = 1e-6
 
 
@@ -150,7 +151,7 @@ class LearningParameters(Parameters):
 def period_samples(period: float, sample_rate: float, name: str = "learning.period") -> int:
     """Return a period [s] in samples.
 
-    A ParameterError about the parameter ``name``: the period is not a whole number of samples, too short, or too long.
+    ParameterError about the parameter ``name``: the period is not a whole number of samples, too short, or too long.
     """
     samples = period * sample_rate
     count = round(samples)
@@ -168,9 +169,9 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     return count
 
 
-#: First key of a file of a learned correction.
+#: First key of the file of a learned correction.
 KIND = "learned_correction"
-#: Maximum number of values of a file, not counting the two arrays.
+#: Maximum number of values in such a file, not counting the two arrays.
 HEAD = 20
 
 
@@ -204,7 +205,7 @@ class Learned:
         Raises
         ------
         ParameterError
-            Period or sample time differ, or the correction is larger than allowed.
+            Period or sample time differs, or the correction is larger than allowed.
         """
         wanted = period_samples(period, 1.0 / sample_time)
         if len(self.correction) != wanted or abs(self.sample_time - sample_time) > 1e-6 * sample_time:
@@ -218,7 +219,7 @@ class Learned:
 
 
 def write_learned(path, learned: Learned, configuration: str = "") -> None:
-    """Write a learned correction of the axis of a named configuration; an existing file is replaced atomically."""
+    """Write a learned correction, with the name of the axis' configuration; an existing file is replaced atomically."""
     values = {
         KIND: {
             "configuration": configuration,
@@ -261,72 +262,72 @@ def read_learned(path) -> Learned:
     return Learned(period, sample_time, *arrays)
 
 
-# Parameters; then the taps of the error filter, from the largest lead on, and those of the robustness filter, from the
-# middle tap on.
+# Parameters; then the taps of the error filter, from the largest lead on; then the taps of the robustness filter, from
+# the middle tap on.
 PERIOD = 0  # N [samples]
 LEAD = 1  # lead of the first tap of the error filter [samples]
 TAPS = 2  # number of taps of the error filter
 HALF = 3  # number of taps of the robustness filter on each side of its middle
 GAIN = 4  # initial γ
 LEAST_GAIN = 5
-AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: constant
+AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: γ is constant
 MAXIMUM = 7  # [m]
-SHORTFALL = 8  # difference of command and achieved command above which learning pauses [m]
-RECOVERY = 11  # samples after a saturated command in which learning pauses
-LATE_ANSWER = 12  # samples after a late voltage in which learning pauses
+SHORTFALL = 8  # difference between command and achieved command above which learning pauses [m]
+RECOVERY = 11  # number of samples after a saturated command in which learning pauses
+LATE_ANSWER = 12  # number of samples after a late voltage in which learning pauses
 FADE = 9  # fraction of the correction that fades in or out per sample
-MISSING = 10  # weight of the error filter that may fall on unusable samples
+MISSING = 10  # fraction of the error filter's weight that may fall on unusable samples
 FILTERS = 13
 
-# State; then three ring buffers as long as the filters: correction, error, reference [m].
+# State; then three ring buffers, longer than a period by what the filters need: correction, error, reference [m].
 MODE = 0
-SAMPLES = 1  # samples since the beginning
-LEARNED = 2  # samples since learning began
+SAMPLES = 1  # number of samples since the beginning
+LEARNED = 2  # number of samples since learning began
 WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
-RECOVERING = 5  # samples until the response to a saturated command has decayed
-LOST = 6  # value that the ring of errors gets for the samples until then: LIMITED or NaN
-STORED = 7  # samples on the path of a file until its correction is treated as that of any other period; more than a
-# period: the axis is not on the path, and the correction stays stored; 0: there is no file, or its time is over
+RECOVERING = 5  # number of samples until the response to a saturated command or a late voltage has decayed
+LOST = 6  # entry of these samples in the ring of errors: LIMITED or NaN
+STORED = 7  # for a correction from a file: samples on its path until it is treated as that of any other period; more
+# than a period: the axis is not on the path, and the correction stays stored; 0: no file, or the file is used up
 FIRST = 8  # reference of the first sample of this period [m]
-MOVED = 9  # 1: the reference has left that value in this period
+MOVED = 9  # 1: the reference has left the value FIRST in this period
 RINGS = 10
 
-#: Modes: the correction repeats, is updated, or fades to zero.
+#: Modes: the correction stays as it is, is updated in each period, or fades to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
-#: Value of a sample with a saturated command in the ring of errors. Fraction by which the correction near such samples
-#: decreases per period.
+#: LIMITED is the entry of a sample with a saturated command in the ring of errors. RELIEF is the fraction by which the
+#: correction near such samples decreases per period.
 LIMITED, RELIEF = math.inf, 0.25
 
-#: References whose difference from one period to the next is smaller count as equal [m].
+#: Two references that differ by less than this from one period to the next count as equal [m].
 SAME = 1e-9
 
 
 @kernel
 def shown(p, x, error, shortfall, skipped):
-    """Return the entry of a sample in the ring of errors: its error [m], ``LIMITED``, or NaN if it is not usable.
+    """Return the entry of a sample in the ring of errors: its error [m], ``LIMITED``, or NaN if it is unusable.
 
     Parameters
     ----------
     p, x : ndarray
     error : float
-        Reference minus displacement [m]; NaN: the axis does not follow, or there is no measurement.
+        Reference minus displacement [m]; NaN if the axis does not follow, or if there is no measurement.
     shortfall : float
         Last command minus achieved command [m].
     skipped : float
-        1: the voltage of this sample is late, and the axis holds the last one.
+        1: the voltage of this sample is late, and the axis holds the previous voltage.
     """
     if skipped != 0.0:
-        # a late voltage does not shorten the longer pause after a saturated command
+        # a late voltage must not shorten the longer pause after a saturated command
         if x[RECOVERING] <= p[LATE_ANSWER]:
             x[RECOVERING] = p[LATE_ANSWER]
             x[LOST] = math.nan
         else:
             x[RECOVERING] -= 1.0
     elif abs(shortfall) > p[SHORTFALL]:
-        # while the axis recovers from a late voltage, commands saturate too; the correction does not cause that
+        # while the axis recovers from a late voltage, commands also saturate, but the correction is not the cause
         if x[RECOVERING] == 0.0 or x[LOST] == LIMITED:
             x[LOST] = LIMITED
         x[RECOVERING] = max(x[RECOVERING], p[RECOVERY])
@@ -339,7 +340,7 @@ def shown(p, x, error, shortfall, skipped):
 
 @kernel
 def updated(p, x, before, length):
-    """Return the correction at the place ``before`` of its ring [m], updated by the errors around that place."""
+    """Return the correction at index ``before`` of its ring [m], updated with the errors around this index."""
     period, lead, taps, half = int(p[PERIOD]), int(p[LEAD]), int(p[TAPS]), int(p[HALF])
     corrections, errors = RINGS, RINGS + length
     repeated = x[corrections + before]
@@ -382,9 +383,9 @@ def updated(p, x, before, length):
 
 @kernel
 def file_stays(p, x, reference):
-    """Return whether the correction of a file stays stored: the axis approaches its path, and nothing else repeats.
+    """Return whether a file's correction stays stored: the axis still approaches its path, and nothing else repeats.
 
-    ``reference`` [m] is that of this sample, without correction.
+    ``reference`` [m] is the reference of this sample, without correction.
     """
     if x[STORED] == 0.0:
         return False
@@ -398,7 +399,7 @@ def file_stays(p, x, reference):
     if x[MODE] == FORGETTING or (repeats and not on_path):
         x[STORED] = 0.0
     else:
-        # a reference that crosses the path for a sample has not reached it
+        # a reference that crosses the path for a single sample has not reached it
         x[STORED] = x[STORED] - 1.0 if on_path else p[PERIOD] + 2.0
     return x[STORED] > p[PERIOD]
 
@@ -407,8 +408,8 @@ def file_stays(p, x, reference):
 def learned_correction(p, x, reference, error):
     """Return the correction of the reference [m] in this sample.
 
-    ``reference`` is without correction [m]; ``error`` is reference minus measured displacement [m], NaN: not usable for
-    learning.
+    ``reference`` is the reference without correction [m]; ``error`` is reference minus measured displacement [m], or
+    NaN if the sample is unusable for learning.
     """
     period = int(p[PERIOD])
     length = (x.shape[0] - RINGS) // 3
@@ -436,12 +437,12 @@ def learned_correction(p, x, reference, error):
     return value
 
 
-#: Fraction of the error filter's weight that may fall on unusable samples without endangering convergence.
+#: Fraction of the error filter's weight that may fall on unusable samples without a risk to convergence.
 UNLEARNED = 0.1
 
 
 class Learning(Block):
-    """Correction of a periodic reference; with type none it has no arrays and is not computed.
+    """Correction of a periodic reference; with type ``none`` it has no arrays and does nothing.
 
     Parameters
     ----------
@@ -454,8 +455,8 @@ class Learning(Block):
     Raises
     ------
     ParameterError
-        The period is not a whole number of samples, a filter has a lead of a period or more, or the file is for another
-        period or sample time.
+        The period is not a whole number of samples, a filter has a lead of a period or more, or the file belongs to
+        another period or sample time.
     """
 
     kernel = staticmethod(learned_correction)
@@ -469,7 +470,7 @@ class Learning(Block):
         super().__init__(parameters, sample_time)
 
     def pack(self, parameters: LearningParameters) -> np.ndarray:
-        """Return the parameter array; empty without learning."""
+        """Return the parameter array; empty if no correction is configured."""
         if not parameters.in_use:
             return np.zeros(0)
         period = period_samples(parameters.period, 1.0 / self.sample_time)
@@ -491,18 +492,18 @@ class Learning(Block):
         return np.concatenate([head, parameters.error_filter, parameters.robustness_filter])
 
     def initial_state(self) -> np.ndarray:
-        """Return the state before the first sample, with the correction of the file."""
+        """Return the state before the first sample; it contains the correction of the file."""
         if not len(self.p):
             return np.zeros(0)
         period, back = int(self.p[PERIOD]), int(self.p[TAPS] - 1 - self.p[LEAD])
         length = period + max(back, int(self.p[HALF])) + 1
-        # before the beginning the axis was at rest without error; the correction of the file starts with the first
+        # the axis was at rest without error before the beginning; the correction of the file starts with the first
         # sample
         rings = np.zeros((3, length))
         rings[2] = math.nan
         if self._loaded is not None:
             rings[1] = math.nan
-            # the sample before the first one is the last entry of a ring
+            # the sample before the first one is the last entry of the ring
             places = np.arange(-length, 0) % period
             rings[0], rings[2] = self._loaded.correction[places], self._loaded.reference[places]
         state = np.zeros(RINGS)
@@ -512,7 +513,7 @@ class Learning(Block):
         return np.concatenate([state, rings.ravel()])
 
     def changed(self, parameters: LearningParameters, fade: float) -> Learning:
-        """Return a checked block with other parameters, for :meth:`take`.
+        """Return a checked block with other parameters, which :meth:`take` can apply.
 
         Parameters
         ----------
@@ -537,7 +538,7 @@ class Learning(Block):
         self.p[:] = other.p
 
     def set_mode(self, mode: int) -> None:
-        """Learn, freeze or forget, beginning with the next sample.
+        """Learn, freeze or forget, from the next sample on.
 
         Parameters
         ----------
@@ -566,7 +567,7 @@ class Learning(Block):
 
     @property
     def missed(self) -> int:
-        """Number of samples of the last period that were not usable for learning."""
+        """Number of samples of the last period that could not be used for learning."""
         return int(np.count_nonzero(~np.isfinite(self._last_period(self.x, 1)))) if len(self.x) else 0
 
     @property
@@ -583,7 +584,7 @@ class Learning(Block):
             No correction is configured, or no whole period has passed.
         """
         self._require_use()
-        # as one copy, because the loop keeps writing samples
+        # one copy of the whole state, because the loop keeps writing samples
         x = self.x.copy()
         reference = self._last_period(x, 2)
         if not np.all(np.isfinite(reference)):
@@ -592,7 +593,7 @@ class Learning(Block):
         return Learned(self.parameters.period, self.sample_time, self._last_period(x, 0), reference)
 
     def _last_period(self, x: np.ndarray, ring: int) -> np.ndarray:
-        """Return the last period of a ring, beginning at the sample whose number is a multiple of the period."""
+        """Return the last period of a ring, beginning with the sample whose number is a multiple of the period."""
         length, period, now = (len(x) - RINGS) // 3, int(self.p[PERIOD]), int(x[SAMPLES])
         numbers = np.arange(now - period, now)
         values = x[RINGS + ring * length + numbers % length]

@@ -9,9 +9,9 @@
 
 """Controllers close to rest, as linear systems, and their margins on their own models.
 
-Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state-space matrices
-follow from the kernel itself. At rest all values are zero, so the response to one tiny entry *is* a column of a matrix,
-and no digits cancel.
+Any controller kernel is linear close to rest (inside the boundary layer, without saturation). The state-space matrices
+are computed with the kernel itself. At rest all values are zero, so the kernel's response to one tiny entry *is* a
+column of a matrix, and no digits cancel.
 """
 
 from __future__ import annotations
@@ -28,28 +28,29 @@ from hysteresis_ros.control.margins import Margins, margins_of, plant_state_spac
 from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.models.linear import StateSpace
 
-#: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
+#: Size of an entry in the linearisation of a kernel: far below every boundary layer, far above subnormal numbers.
 TINY = 1e-24
-#: Samples at rest before the linearisation, after which flags and counters of the start no longer change.
+#: Number of samples at rest before the linearisation, in which flags and counters of the start reach their final
+#: values.
 WARM_UP = 3
 
 
 def at_rest(parameters):
-    """Return the parameters with which the controller is linear close to rest: no feedforward, no preload offset."""
+    """Return parameters for which the controller is linear close to rest: without feedforward and preload offset."""
     model = replace(parameters.model, preload=PreloadParameters())
     return parameters.law.near_rest(replace(parameters, model=model, feedforward=FeedforwardParameters()))
 
 
 def linearise(controller) -> StateSpace:
-    """Return the state space of a controller block close to rest, inputs (reference, measured), output command, SI.
+    """Return a controller block close to rest as a system from (reference, measured) to the command, in SI units.
 
-    The block was built from parameters of :func:`at_rest`; its state is not changed.
+    The block must have parameters of :func:`at_rest`; its state is not changed.
     """
     kernel, p = controller.kernel, controller.p
     rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
     for _ in range(WARM_UP):
         kernel(p, rest, 0.0, 0.0)
-    # the last command has two entries, but is one state; the feedforward is not a state
+    # the last command is stored in two entries but is one state; the feedforward is not a state
     groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
     count = len(groups)
     A, C = np.zeros((count, count)), np.zeros((1, count))
@@ -70,7 +71,7 @@ def linearise(controller) -> StateSpace:
 
 
 def _connected(system: StateSpace) -> StateSpace:
-    """Remove states that no input reaches (flags, constants) or that never reach the output (records)."""
+    """Remove states that no input changes (flags, constants) or that never affect the output (records)."""
     reached, seen = (system.B != 0.0).any(axis=1), system.C[0] != 0.0
     for _ in range(len(system.A)):
         reached = reached | ((system.A != 0.0) @ reached)
@@ -80,7 +81,7 @@ def _connected(system: StateSpace) -> StateSpace:
 
 
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return the controller and its model as linear systems close to rest; damping is part of the model.
+    """Return the controller and its model as linear systems close to rest; damping is part of this model.
 
     ParameterError: no controller can be built from the parameters.
     """
@@ -91,7 +92,7 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
 
 
 def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and damping as one system, and the undamped model, for studies of a changed plant.
+    """Return controller and damping as one system, and the undamped model, for studies with other plants.
 
     ParameterError: no controller can be built from the parameters.
     """
@@ -104,7 +105,7 @@ def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
 
 
 def margins(parameters, sample_time: float) -> Margins:
-    """Return margins, bandwidth and poles of a controller on its own model.
+    """Return margins, bandwidth and poles of a controller with its own model.
 
     Raises
     ------

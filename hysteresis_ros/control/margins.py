@@ -7,24 +7,25 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Robustness of linear loops: loop transfer function, margins, sensitivity and bandwidth, modelled or measured.
+"""Robustness of linear loops, modelled or measured: loop transfer function, margins, sensitivity and bandwidth.
 
 Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The timing is that of the running
-loop: y_k = C x_k + D u_(k-1) is measured, and u_k responds in the same sample and is held until the next one. Commands
-are assumed to be achieved. The inverse of the hysteresis is assumed exact.
+loop: y_k = C x_k + D u_(k-1) is measured; u_k is computed from y_k in the same sample, and held until the next sample.
+It is assumed that commands are achieved, and that the inverse of the hysteresis is exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
 A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs). The loop tolerates the delay until this curve passes
 through −1.
 
 Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
-one sample in addition to the delay of the model. This sample is about the delay of converters, transport and a loaded
-computer. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees
-[1]_, but no delay margin: at half the sample rate one sample of delay is 180 degrees of phase.
+one sample in addition to the delay of the model. This additional sample covers about the delay of converters, data
+transport and a loaded computer. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2
+asin(1/4) = 29 degrees [1]_, but no delay margin: at half the sample rate one sample of delay is 180 degrees of phase.
 
 A measured loop is cut at the same place. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
-range of a margin follows from the circles of uncertainty around L at the measured frequencies: for the sensitivity from
-their points nearest to −1, for the gain along the real axis, for the phase along the unit circle.
+range of a margin follows from the circles of uncertainty around L at the measured frequencies. The range of the
+sensitivity follows from the points of the circles nearest to −1, that of the gain margin from the circles along the
+real axis, and that of the phase margin from the circles along the unit circle.
 
 References
 ----------
@@ -42,10 +43,10 @@ from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 
 
 def with_acting(dynamics, plant: StateSpace) -> StateSpace:
-    """Return a plant with its quasi-static displacement as second output.
+    """Return a plant with its quasi-static displacement as a second output.
 
-    The second output has gain and delay only, without poles and zeros. The force in the stack is a sum of both outputs.
-    The plant has no feedthrough, and its first states are those of ``dynamics``.
+    The second output has only a gain and a delay, no poles or zeros. The force in the stack is a weighted sum of both
+    outputs. The plant must have no feedthrough, and its first states must be those of ``dynamics``.
     """
     row, through = dynamics.acting
     n = plant.order
@@ -93,30 +94,30 @@ def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
 
 
 def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return L at the points ``z``, shape (N,), of a loop of :func:`.linear_loop`."""
+    """Return L at the points ``z``, shape (N,), for the controller and plant of :func:`.linear_loop`."""
     return np.sum(loop_parts(controller, plant, z), axis=1)
 
 
 def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return the part of L through each measured signal, shape (N, q).
+    """Return the contribution to L through each measured signal, shape (N, q).
 
-    The signals are the displacement, and the quasi-static displacement if force is used.
+    The signals are the displacement and, if the force is used, the quasi-static displacement.
     """
     return _parts(controller.response(z), plant.response(z))
 
 
 def _parts(commands, displacements) -> np.ndarray:
-    """Return :func:`loop_parts` of responses that are known."""
+    """Return :func:`loop_parts` for given frequency responses of controller and plant."""
     return -commands[:, 0, 1:] * displacements[:, :, 0]
 
 
-#: Number of frequencies of the grid, and number added around each pole.
+#: Number of frequencies of the grid, and number of frequencies added around each pole.
 GRID = 3000
 AROUND_POLE = 61
-#: Parts into which an interval that contains a crossing is divided, and how often: to rounding, and in a search to
-#: 1e-7 of the distance between two points of the grid.
+#: An interval with a crossing is divided into PARTS parts. This is repeated ROUNDS times, which is exact to rounding,
+#: or in a search SEARCHED_ROUNDS times, which is exact to 1e-7 of the distance between two points of the grid.
 PARTS, ROUNDS, SEARCHED_ROUNDS = 64, 9, 4
-#: −3 dB.
+#: Magnitude of −3 dB.
 HALF_POWER = np.sqrt(0.5)
 #: Lowest angle of the grid.
 LOWEST = 1e-7
@@ -135,7 +136,7 @@ class Requirements:
     delay_margin : float
         Least tolerated delay in addition to the modelled delay [samples].
     command_noise_gain : float
-        Largest RMS of the command per RMS of the sensor's noise; infinite if the noise is unknown.
+        Largest RMS of the command per RMS of the sensor's noise; infinite if the noise is not known.
     late_sensitivity_peak : float
         Largest M_s with one sample of delay in addition to the modelled delay, for designs without a given bandwidth.
     """
@@ -147,20 +148,21 @@ class Requirements:
     late_sensitivity_peak: float = np.inf
 
 
-#: Relative tolerance of a requirement, because a design ends where it just meets the requirement.
+#: Relative tolerance of a requirement, because a design ends at gains that just meet the requirement.
 ROUNDING = 1e-3
 #: Requirements of every design.
 REQUIRED = Requirements()
-#: Aim of a design without a given bandwidth: a delay margin of one sample even with one more sample of delay. Usual
-#: values of M_s are 1.2 to 2 [1]_.
+#: Requirements at which a design without a given bandwidth aims: even with one more sample of delay, a delay margin of
+#: one sample remains. Usual values of M_s are 1.2 to 2 [1]_.
 AIMED = Requirements(sensitivity_peak=1.6, delay_margin=2.0, late_sensitivity_peak=3.0)
-#: Aim of gains tuned for speed (by a criterion or a comparison): stable with one more sample of delay.
+#: Requirements for gains that are tuned for speed (by a criterion or a comparison): stability with one more sample of
+#: delay.
 FASTEST = Requirements(delay_margin=1.3)
 
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """Result of :func:`margins_of`; a margin is infinite if its crossover does not exist.
+    """Result of :func:`margins_of`; a margin is infinite if there is no corresponding crossover.
 
     Parameters
     ----------
@@ -177,8 +179,8 @@ class Margins:
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float
-        Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if it
-        is not below half the sample rate.
+        Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if there
+        is no such frequency below half the sample rate.
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor, [m/m].
     poles : ndarray
@@ -212,7 +214,7 @@ class Margins:
         return self.delay_margin / self.sample_time
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return each unmet requirement in a few words; empty when all are met."""
+        """Return each unmet requirement in a few words; empty if all requirements are met."""
         if not self.stable:
             return ("unstable on its own model",)
         found = []
@@ -235,12 +237,12 @@ class Margins:
 
 
 class Judged(NamedTuple):
-    """Figures of a loop for a search, on a coarser grid than :class:`Margins`; an unstable loop has an infinite M_s.
+    """Figures of a loop for a search, on a coarser grid than :class:`Margins`; M_s is infinite for an unstable loop.
 
     Parameters
     ----------
     bandwidth : float
-        [Hz]; NaN if it was not asked for.
+        [Hz]; NaN if it was not computed.
     sensitivity_peak : float
         M_s.
     delay_margin : float
@@ -248,10 +250,11 @@ class Judged(NamedTuple):
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor.
     rejection : float
-        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 if a constant disturbance is not
-        rejected.
+        Frequency up to which disturbances are rejected, that is, |S| is below −3 dB [Hz]; 0 if a constant disturbance
+        is not rejected.
     feedback : float
-        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 if it does not act at frequency zero.
+        Frequency up to which the feedback acts, that is, |T| is above −3 dB [Hz]; 0 if it does not act at frequency
+        zero.
     late_sensitivity_peak : float
         M_s with an additional sample of delay.
     """
@@ -274,7 +277,7 @@ class Judged(NamedTuple):
         return bounded and quiet and self.delay_margin >= required.delay_margin
 
 
-#: An unstable loop.
+#: Figures of an unstable loop.
 UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf)
 
 
@@ -314,7 +317,7 @@ def judge(
 
 
 def _up_to(angles, begun) -> float:
-    """Return the first angle at which a condition holds: 0 if it is the first of ``angles``, π if it holds nowhere."""
+    """Return the first angle at which a condition holds: 0 if it holds at the first of ``angles``, π if nowhere."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi
@@ -333,7 +336,7 @@ def _coarse_delay_margin(angles, values) -> float:
 
 
 def _noise_gain(angles, size) -> float:
-    """Return the RMS of the response to white noise of unit RMS, (1/π ∫ |H|² dω)^½, for the magnitude |H|."""
+    """Return the RMS of the response to white noise of RMS 1, (1/π ∫ |H|² dω)^½, from the magnitude |H|."""
     square = size * size
     area = np.sum(0.5 * (square[1:] + square[:-1]) * np.diff(angles)) + square[0] * angles[0]
     return float(np.sqrt(area / np.pi))
@@ -342,8 +345,8 @@ def _noise_gain(angles, size) -> float:
 def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) -> Margins:
     """Return margins, bandwidth and poles of a linear loop.
 
-    ``controller`` has the inputs (reference, measured) and the output command, ``plant`` leads from command to measured
-    displacement. Units: ``sample_time`` [s].
+    ``controller`` has the inputs (reference, measured) and the output command, ``plant`` has the input command and the
+    output measured displacement. Units: ``sample_time`` [s].
     """
     poles = close(controller, plant).poles
     poles = poles[np.argsort(-np.abs(poles))]
@@ -382,7 +385,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
 
 
 def _responses(controller: StateSpace, plant: StateSpace, angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return L, |command per measurement| without the loop, and |displacement per reference| with it."""
+    """Return L, |command per measurement| in open loop, and |displacement per reference| in closed loop."""
     z = np.exp(1j * angles)
     commands, displacements = controller.response(z), plant.response(z)
     loop = np.sum(_parts(commands, displacements), axis=1)
@@ -395,7 +398,7 @@ def _least(values) -> float:
 
 
 def _grid(poles, count: int) -> np.ndarray:
-    """Return angles in 0 … π: uniform on a linear and on a logarithmic scale, and dense around the resonances."""
+    """Return angles in 0 … π: uniform on a linear and on a logarithmic scale, and denser around the resonances."""
     parts = [np.geomspace(LOWEST, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
     for pole in poles:
         angle, width = abs(np.angle(pole)), max(1.0 - min(abs(pole), 1.0), 1e-9)
@@ -406,12 +409,12 @@ def _grid(poles, count: int) -> np.ndarray:
 
 
 def _flat_and_negative(values) -> bool:
-    """Return whether L at the two lowest angles belongs to a finite, negative gain at frequency zero."""
+    """Return whether L at the two lowest angles indicates a finite, negative gain at frequency zero."""
     return bool(values[0].real < 0.0 and abs(values[1] - values[0]) < 1e-3 * abs(values[0]))
 
 
 def _crossings(function, angles, values, rounds: int = ROUNDS) -> np.ndarray:
-    """Return the zeros of a function of angles, sampled at ``angles``, refined by dividing each interval again."""
+    """Return the zeros of a function of angles, sampled at ``angles``; intervals with a zero are divided repeatedly."""
     found = []
     for i in np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0)):
         low, high, below = angles[i], angles[i + 1], values[i] < 0.0
@@ -424,7 +427,7 @@ def _crossings(function, angles, values, rounds: int = ROUNDS) -> np.ndarray:
 
 
 def _bandwidth(controller: StateSpace, plant: StateSpace, angles, tracking, rounds: int = ROUNDS) -> float:
-    """Return the lowest angle at which the response to the reference, sampled at ``angles``, is at -3 dB."""
+    """Return the lowest angle at which the response to the reference, sampled at ``angles``, is -3 dB."""
     wanted = tracking[0] * HALF_POWER
     below = np.flatnonzero(tracking < wanted)
     if not len(below) or not wanted > 0.0:
@@ -442,7 +445,7 @@ def _bandwidth(controller: StateSpace, plant: StateSpace, angles, tracking, roun
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and its range.
+    """A figure and its range of uncertainty.
 
     Parameters
     ----------
@@ -468,7 +471,7 @@ class Interval:
         return f"{self.value:{digits}}{unit} ({self.low:{digits}} … {high})"
 
 
-#: A figure that does not occur in the band.
+#: A figure that has no value in the measured band.
 NOWHERE = Interval(np.inf, np.inf, np.inf)
 
 
@@ -483,7 +486,7 @@ class MeasuredLoop:
     loop : ndarray of complex, shape (F,)
         L.
     radius : ndarray, shape (F,)
-        Radius of the circle that contains the true value with the requested probability.
+        Radius of the circle around L that contains the true value with the requested probability.
     sample_time : float
         [s]
     """
@@ -548,7 +551,7 @@ class MeasuredLoop:
         return self._least_phase(lambda phase, angle: phase / angle, folded=False)
 
     def rows(self, model: Margins | None = None) -> list[tuple[str, str]]:
-        """Return (name, text) of each printed row, with the model's value."""
+        """Return (name, text) of each printed row, with the value of the model if there is one."""
         crossing = ", ".join(f"{value:.4g} Hz" for value in self.gain_crossovers) or "none in the band"
         rows = [
             ("gain crossover", crossing),
@@ -571,7 +574,7 @@ class MeasuredLoop:
     def _least_phase(self, figure, folded: bool) -> Interval:
         """Return the smallest ``figure(phase above −180 degrees, angle per sample)`` where |L| = 1, with its range.
 
-        A circle around L meets the unit circle at the angle of L plus or minus α, cos α = (1 + |L|² − r²)/(2 |L|).
+        A circle of radius r around L meets the unit circle at the angle of L ± α, with cos α = (1 + |L|² − r²)/(2 |L|).
         """
         size, angles = np.abs(self.loop), 2.0 * np.pi * self.frequency * self.sample_time
         touching = np.abs(size - 1.0) <= self.radius
@@ -581,7 +584,7 @@ class MeasuredLoop:
             turned = np.angle(self.loop[place + 1] / self.loop[place])
             phase = np.mod(np.angle(self.loop[place]) + part * turned + np.pi, 2.0 * np.pi)
             near = _around(place, touching)
-            # the phases at the adjacent frequencies, without a jump of 360 degrees
+            # the phases at the adjacent frequencies, without jumps of 360 degrees
             phases = phase + np.angle(self.loop[near] / np.exp(1j * (phase - np.pi)))
             cosine = (1.0 + size[near] ** 2 - self.radius[near] ** 2) / (2.0 * size[near])
             half = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -596,7 +599,7 @@ class MeasuredLoop:
         return min(found, key=lambda one: one.value, default=NOWHERE)
 
     def _crossings(self, values):
-        """Return the zero crossings of values: frequency [Hz], index before it, and fraction of the step after that."""
+        """Return the zero crossings of values: frequency [Hz], index before it, fraction of the step up to it."""
         places = np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0))
         parts = values[places] / (values[places] - values[places + 1])
         frequencies = self.frequency[places] + parts * np.diff(self.frequency)[places]
@@ -606,19 +609,19 @@ class MeasuredLoop:
 def loop_of(
     controller: StateSpace, frequency, plant, radius, sample_time: float, model: StateSpace | None = None
 ) -> MeasuredLoop:
-    """Return the loop of a known controller and a measured plant.
+    """Return the loop of a known controller with a measured plant.
 
-    ``controller`` has the inputs (reference, measured), with force damping also the quasi-static displacement, and the
-    output command. ``plant``, shape (F,), is the response from command to measured displacement, sampled at the same
-    instants, at ``frequency`` [Hz]; ``radius``, shape (F,), are the radii of the circles around it. ``model`` leads
-    from command to the controller's inputs other than the reference; it is needed if there is more than one such input.
-    Units: ``sample_time`` [s].
+    ``controller`` has the output command, and the inputs reference, measured displacement and, with force damping,
+    quasi-static displacement. ``plant``, shape (F,), is the response from command to measured displacement, sampled at
+    the same instants, at ``frequency`` [Hz]; ``radius``, shape (F,), contains the radii of the circles around it.
+    ``model`` has the input command, and as outputs all inputs of the controller except the reference; it is needed if
+    there is more than one such input. Units: ``sample_time`` [s].
     """
     z = np.exp(2j * np.pi * frequency * sample_time)
     feedback = -controller.response(z)[:, 0, 1]
     loop = feedback * plant
     if model is not None:
-        # the quasi-static displacement has gain and delay only, which the model contains
+        # the quasi-static displacement has only a gain and a delay, both of which the model contains
         loop = loop + np.sum(loop_parts(controller, model, z)[:, 1:], axis=1)
     return MeasuredLoop(frequency, loop, np.abs(feedback) * radius, sample_time)
 
@@ -628,7 +631,7 @@ def _between(values, place: int, part: float) -> float:
 
 
 def _around(place: int, touching) -> np.ndarray:
-    """Return the contiguous ``touching`` indices around a crossing that lies between ``place`` and the next index."""
+    """Return the contiguous indices in ``touching`` around a crossing between ``place`` and the next index."""
     first, last = place + 1, place
     while first > 0 and touching[first - 1]:
         first -= 1
@@ -638,5 +641,5 @@ def _around(place: int, touching) -> np.ndarray:
 
 
 def _ends(value: float, wide: float, lows, highs) -> tuple[float, float]:
-    """Return the range of a figure: the extremes of ``value`` ± ``wide`` and of the values at nearby frequencies."""
+    """Return the range of a figure: the extremes of ``value`` ± ``wide`` and of the figure at nearby frequencies."""
     return min([value - wide, *lows]), max([value + wide, *highs])

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of the sliding mode controllers from a model: reaching law and Kalman filter for a bandwidth.
+"""Design of the sliding mode controllers for a model: reaching law and Kalman filter for a bandwidth.
 
-Two numbers determine the speed of such a loop: the pole that sets the bandwidth from the reference, and the bandwidth
-of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search varies both numbers
-on grids that become finer around the best point. Among the points that meet the requirements, the best one has the
-largest product of bandwidth and rejection. Bandwidth above that of the feedback gives no better result, because
-tracking then depends on the accuracy of the model. If no point meets the requirements, the closest point is returned,
-and its margins show which requirements it does not meet. The equations of hyperplane and feedback gain are in
-:mod:`.state_feedback`, those of the laws in ``laws/``.
+Two numbers determine the speed of such a loop: the pole that sets the bandwidth of the response to the reference, and
+the bandwidth of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search
+varies both numbers on grids that become finer around the best point. Among the points that meet the requirements, the
+best one has the largest product of bandwidth and rejection. A bandwidth above that of the feedback does not count as
+better, because tracking then depends on the accuracy of the model. If no point meets the requirements, the point that
+comes closest to them is returned; its margins show which requirements it does not meet. The equations of hyperplane and
+feedback gain are in :mod:`.state_feedback`, those of the laws in ``laws/``.
 """
 
 from __future__ import annotations
@@ -37,26 +37,28 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.linear_algebra import eigenvalues, product
 
-#: Highest bandwidth of the pole [cycles per sample], and the largest number of halvings of it.
+#: Largest bandwidth of the pole [cycles per sample], and maximum number of its halvings.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Range of the ratio of the disturbance's change per sample to the noise that the filter assumes, as powers of 2.
+#: Exponents of two at the ends of the range of the filter: ratio of the change of the disturbance per sample to the
+#: noise, both as the filter assumes them.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
-#: Penalty on bandwidth above that of the feedback.
+#: Weight of the penalty on a bandwidth above that of the feedback.
 IN_VAIN = 0.05
-#: Steps of the grids (of exponents of two), from coarse to fine.
+#: Steps of the grids, in exponents of two, from coarse to fine.
 STEPS = (2.0, 1.0, 0.5)
 
 
 def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
     """Return the filter for a disturbance that changes by about ``size`` [input unit] per sample.
 
-    Noise ratios are fixed. Form, measurement noise and disturbance frequency are those of ``given``; ``disturbance`` is
-    the kind.
+    The ratios of the noises are fixed. Form, measurement noise and disturbance frequency are those of ``given``;
+    ``disturbance`` is the kind of disturbance.
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {
-        # without an estimated disturbance the filter must follow the measurement, or it does not notice a mismatch
+        # without an estimated disturbance, the filter must follow the measurement; otherwise it does not notice a
+        # mismatch
         "none": {"q": 100.0 * variance},
         "constant": {"q": 0.01 * variance, "q_disturbance": variance},
         "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
@@ -66,14 +68,14 @@ def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanP
 
 
 def scaled(given: KalmanParameters, size: float) -> KalmanParameters:
-    """Return the filter with all process noise ``size`` times as large."""
+    """Return the filter with the RMS of all process noises multiplied by ``size``."""
     names = ("q", "q_disturbance", "q_disturbance_rate", "q_disturbance_periodic")
     noises: dict[str, Any] = {name: getattr(given, name) * size * size for name in names}
     return replace(given, Q=tuple(value * size * size for value in given.Q), **noises)
 
 
 def solved(parameters, sample_time: float):
-    """Return the design with hyperplane and filter gain as numbers, so that a search solves no Riccati equation."""
+    """Return the parameters with hyperplane and filter gain as numbers, so that a search solves no Riccati equation."""
     model = parameters.model.dynamics.state_space
     S = design_sliding_mode(parameters.sliding_mode, model).S
     L = filter_gain(parameters.kalman, model, sample_time)
@@ -85,7 +87,7 @@ def solved(parameters, sample_time: float):
 
 
 class GainSearch:
-    """Points of the search: the power of two of the filter, and the number of halvings of the pole's bandwidth.
+    """Search over points: exponent of two of the filter, and number of halvings of the pole's bandwidth.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ class GainSearch:
     judged : callable
         ``judged(parameters)`` returns a :class:`Judged`.
     place : callable or None
-        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None: the
+        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None if the
         controller has no such pole.
     aimed : Requirements
     """
@@ -110,7 +112,7 @@ class GainSearch:
         self._scores: dict[tuple[float, float], tuple] = {}
 
     def at(self, power: float, halvings: float, parameters=None):
-        """Return the parameters of a point."""
+        """Return the parameters that belong to a point."""
         given = parameters or self._filtered(power)
         return self.place(given, pole_of(halvings)) if self.place else given
 
@@ -118,7 +120,7 @@ class GainSearch:
         return replace(self.parameters, kalman=scaled(self.parameters.kalman, power_of_two(power)))
 
     def score(self, point: tuple[float, float]) -> tuple:
-        """Return the merit of a point."""
+        """Return the merit of a point, for comparison; a point that meets the requirements is better than any other."""
         if point not in self._scores:
             try:
                 self._scores[point] = self._score(*point)
@@ -136,16 +138,16 @@ class GainSearch:
         followed = max(found.feedback, self.own)
         rejected = max(found.rejection, 1e-9 * self.own)
         gained = math.log(rejected) + math.log(min(bandwidth, followed))
-        # rounded, so that last digits, which differ between LAPACK and C libraries, have no effect
+        # rounded, so that the last digits, which differ between LAPACK and C libraries, have no effect
         return True, round(gained - IN_VAIN * max(math.log(bandwidth / followed), 0.0), 6)
 
     def best(self, powers: tuple[float, float]) -> tuple[float, float]:
-        """Return the best point with a power of the filter within bounds.
+        """Return the best point whose exponent for the filter is within bounds.
 
         Parameters
         ----------
         powers : (float, float)
-            Lowest and highest.
+            Lowest and highest exponent.
         """
         low, high = powers
         count = int((high - low) / STEPS[0])
@@ -165,18 +167,18 @@ class GainSearch:
 
 
 def power_of_two(exponent: float) -> float:
-    """Return 2 to a power that is a multiple of one half, correctly rounded."""
+    """Return 2 to a power that is a multiple of 0.5, correctly rounded."""
     return math.sqrt(math.ldexp(1.0, round(2.0 * exponent)))
 
 
 def pole_of(halvings: float) -> float:
-    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST_POLE` halved this many times."""
+    """Return the pole, to four digits, with the bandwidth :data:`FASTEST_POLE` halved this number of times."""
     angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
     return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
 
 
 def excess(found: Judged, aimed: Requirements) -> float:
-    """Return the largest factor by which a loop misses the requirements."""
+    """Return the largest factor by which a loop misses one of the requirements."""
     return max(
         found.sensitivity_peak / aimed.sensitivity_peak,
         aimed.delay_margin / max(found.delay_margin, 1e-12),
@@ -187,10 +189,10 @@ def excess(found: Judged, aimed: Requirements) -> float:
 
 #: Input weight of the LQ problem as a fraction of the squared DC gain.
 INPUT_WEIGHT = 0.025
-#: Largest pole that a requested bandwidth may need, and the relative accuracy with which the bandwidth is met.
+#: Largest pole that a requested bandwidth may need, and relative accuracy of the pole that is searched for it.
 SLOWEST = 0.99999
 PRECISION = 1e-5
-#: Fraction of the requested bandwidth by which the slowest pole may be too fast.
+#: A requested bandwidth may be below the smallest possible one by at most this fraction.
 TOLERANCE = 0.01
 
 
@@ -203,7 +205,7 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     name : str
         Name of the design, for messages.
     place : callable or None
-        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None: the
+        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None if the
         controller has no such pole.
     disturbed : bool
         Whether the Kalman filter estimates a disturbance.
@@ -242,7 +244,7 @@ def lq_surface(given, dynamics):
 
 
 def _kalman(given, disturbance: str, q: float | None):
-    """Return the filter; a given gain is kept if its size matches the model and no q is requested."""
+    """Return the filter; a given gain is kept if its size fits the model and no q is requested."""
     if given.gain == "given" and disturbance == given.disturbance and q is None:
         return given
     noise = given.q if q is None else q * given.r
@@ -251,25 +253,25 @@ def _kalman(given, disturbance: str, q: float | None):
 
 
 def reaching_law(parameters, pole: float):
-    """Return the parameters with Φ of the reaching law."""
+    """Return the parameters with the Φ of the reaching law set to ``pole``."""
     return replace(parameters, sliding_mode=replace(parameters.sliding_mode, phi=pole))
 
 
 def sliding_pole(parameters, pole: float):
-    """Return the parameters with this slowest pole of the sliding motion; the others are the fastest LQ poles."""
+    """Return the parameters with ``pole`` as slowest pole of the sliding motion; the others are the fast LQ poles."""
     model = parameters.model.dynamics.state_space
     n, A, B = model.order, model.A, model.B
     S = design_sliding_mode(parameters.sliding_mode, model).S
     sliding = eigenvalues(A - product(B, product(S, A)[np.newaxis]) / product(S, B).item())
     sizes = sorted(math.sqrt(pole.real * pole.real + pole.imag * pole.imag) for pole in sliding)
-    fastest = sizes[1 : n - 1]  # except the pole at 0, which does not belong to the sliding motion
+    fastest = sizes[1 : n - 1]  # without the pole at 0, which does not belong to the sliding motion
     poles = (pole, *fastest)
     chosen = replace(parameters.sliding_mode, hyperplane="poles", S=(), poles=poles, poles_imaginary=())
     return replace(parameters, sliding_mode=chosen)
 
 
 def _pole_for(task: DesignTask, with_pole) -> float:
-    """Return the pole that gives the bandwidth, which increases as the pole decreases from one to zero."""
+    """Return the pole that gives the requested bandwidth; the bandwidth increases as the pole decreases from 1 to 0."""
     bandwidth = task.bandwidth
 
     def reached(pole):
@@ -298,18 +300,18 @@ def _pole_for(task: DesignTask, with_pole) -> float:
 
 
 def surface_row(found) -> tuple[str, str]:
-    """Return name and text of the hyperplane, for the table of a design."""
+    """Return name and text of the row for the hyperplane in the table of a design."""
     return "hyperplane S", ", ".join(f"{value:.6g}" for value in found.S)
 
 
 def filter_row(parameters) -> tuple[str, str]:
-    """Return name and text of the Kalman filter, for the table of a design."""
+    """Return name and text of the row for the Kalman filter in the table of a design."""
     kalman = parameters.kalman
     return "Kalman filter", f"q/r {kalman.q / kalman.r:.4g}" if not kalman.L else "given L"
 
 
 def reaching_rows(parameters, sample_time: float):
-    """Return (name, text) of each row that a design by Φ of the reaching law prints."""
+    """Return (name, text) of each row that a design prints if it sets Φ of the reaching law."""
     law = parameters.sliding_mode
     found = design_sliding_mode(law, parameters.model.dynamics.state_space)
     gains = ", ".join(f"{value:.6g}" for value in found.K)
@@ -317,7 +319,7 @@ def reaching_rows(parameters, sample_time: float):
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:
-    """Return the warning about a law that sees disturbances only through the innovations of the Kalman filter."""
+    """Return the warning for a law that notices disturbances only through the innovations of the Kalman filter."""
     if parameters.kalman.disturbance != "none":
         return ()
     return (

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sliding surface: hyperplane and linear gain, the switching function of the estimated state, and the command.
+"""Sliding surface: hyperplane and linear gain, switching function of the estimated state, and command.
 
 With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and Λ = S B:
 
 rest point x* = N_x r, u* = N_u r: the model's equilibrium at the reference
 trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
 
-The trajectory starts at rest on the reference. With a static feedforward the rest point remains the target: the
-feedforward gives the command of the rest point, and the model's response to it would ring.
+The trajectory starts at rest on the reference. With a static feedforward the target is still the rest point, because
+this feedforward gives the command of the rest point, and the model's response to it would ring.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from hysteresis_ros.models.linear_algebra import product
 
 @dataclass(frozen=True)
 class SlidingModeParameters(Parameters):
-    """Hyperplane and laws of the three sliding mode controllers; gains are in the model's units."""
+    """Hyperplane and laws of the three sliding mode controllers; gains are in the units of the model."""
 
     tracking: str = parameter(
         "target",
@@ -119,7 +119,7 @@ class SlidingModeParameters(Parameters):
 
 @dataclass(frozen=True, eq=False)
 class SlidingModeDesign:
-    """Gains computed from the parameters, in the model's units.
+    """Gains of a sliding mode controller, computed from its parameters, in the units of the model.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class SlidingModeDesign:
     switching_gain : float
         Λ = S B.
     poles : ndarray, shape like S
-        Poles of the controlled model.
+        Poles of the model in closed loop.
     """
 
     S: np.ndarray
@@ -138,9 +138,10 @@ class SlidingModeDesign:
 
 
 def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) -> SlidingModeDesign:
-    """Return hyperplane and linear gain for a model with one input and one output, in its own units.
+    """Return hyperplane and linear gain for a model with one input and one output, in the model's own units.
 
-    ParameterError: no controller is stable; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
+    ParameterError: there is no stable controller; the message names the parameter of ``sliding_mode`` or
+    ``model.dynamics``.
     """
     whole = model
     if parameters.tracking == "integral":
@@ -193,7 +194,7 @@ def _order(pole: complex):
     return pole.real, pole.imag
 
 
-# Parameter array: a head (FED first), then K and S (n entries each), then the Kalman filter's.
+# Parameter array: a head (begins with FED), then K and S (n entries each), then the parameters of the Kalman filter.
 N = 1
 INTEGRATING = 2
 INPUT_SCALE = 3
@@ -206,28 +207,28 @@ SLOPE = 9
 LEVEL = 10
 WIDTH = 11
 THRESHOLD = 12
-MOVING = 13  # 1.0: the target is the trajectory under the feedforward
+MOVING = 13  # 1.0: the target is the trajectory given by the feedforward
 LAMBDA = 14  # S B
 PHI = 15
-OWN = 16  # first of three entries of each law
+OWN = 16  # first of the three entries that each law uses for its own parameters
 GAINS = 19
 
-# State array after the common part; then the Kalman filter's state, the trajectory, and n entries of scratch.
+# State array after the common part; then the state of the Kalman filter, the trajectory, and n entries of scratch.
 INTEGRAL = HEADER  # integral of the error
 LARGEST = HEADER + 1  # largest achieved command so far [m]
 LINEAR = HEADER + 2  # K x_e
 TARGET = HEADER + 3  # u*
-MEMORY = HEADER + 4  # first of two entries of each law
-LAST = HEADER + 6  # last command of the law, before limits, in the model's units
+MEMORY = HEADER + 4  # first of the two entries that each law uses for its own state
+LAST = HEADER + 6  # last command of the law before limits, in the model's units
 BEGUN = HEADER + 7  # 0.0: the law has not run yet, or must restart
 OBSERVER = HEADER + 8
 
 
 @kernel
 def switching_function(p, x, reference, measured):
-    """Update observer, integral and trajectory; return s and store K x_e, u* and the estimates in x.
+    """Update observer, integral and trajectory; store K x_e, u* and the estimates in x, and return s.
 
-    While the measurement is NaN the observer uses its model only, without an innovation.
+    While the measurement is NaN, the observer uses only its model, without an innovation.
     """
     n = int(p[N])
     hyperplane = GAINS + n
@@ -269,7 +270,7 @@ def switching_function(p, x, reference, measured):
             linear += p[GAINS + i] * distance
     if p[INTEGRATING] != 0.0:
         error = r - y
-        # Integrating changes the command by -INTEGRAL_GAIN * error.
+        # integrating changes the command by -INTEGRAL_GAIN * error
         if not widens(p, x, applied, -p[INTEGRAL_GAIN] * error):
             x[INTEGRAL] = bounded(x[INTEGRAL] + error)
         s += p[INTEGRAL_HYPERPLANE] * x[INTEGRAL]
@@ -281,7 +282,7 @@ def switching_function(p, x, reference, measured):
 
 @kernel
 def widens(p, x, applied, change):
-    """Return whether the command is saturated and ``change`` would increase the saturation."""
+    """Return whether the command is saturated and ``change`` would drive it further into saturation."""
     excess = x[COMMAND] - applied
     return abs(excess) > p[THRESHOLD] * x[LARGEST] and change * (excess / p[INPUT_SCALE]) > 0.0
 
@@ -298,7 +299,7 @@ def boundary_layer(p, s):
 
 @kernel
 def leave(p, x, s, command):
-    """Store and return the command [m], given in the model's units."""
+    """Store the ``command``, given in the model's units, and return it in [m]."""
     command = bounded(command)
     x[LAST] = command
     x[BEGUN] = 1.0
@@ -312,10 +313,10 @@ def leave(p, x, s, command):
 
 @lru_cache(maxsize=16)
 def pack_surface(parameters, sample_time: float | None):
-    """Return the design and the parameter array (head, K, S, Kalman filter); results are stored for later calls.
+    """Return the design and the parameter array (head, K, S, Kalman filter); both are cached for later calls.
 
-    The array is read only; its entries from ``OWN`` are zero. Only a periodic disturbance needs the sample time [s].
-    ParameterError: the design fails; names are relative to the controller's parameters.
+    The array is read-only; its entries from ``OWN`` on are zero. The sample time [s] is needed only for a periodic
+    disturbance. ParameterError: the design fails; names are relative to the controller's parameters.
     """
     dynamics, sliding_mode, kalman = parameters.model.dynamics, parameters.sliding_mode, parameters.kalman
     if not dynamics.order:
@@ -363,7 +364,7 @@ def pack_surface(parameters, sample_time: float | None):
 
 
 def require_target(parameters) -> None:
-    """Raise ParameterError about ``sliding_mode.tracking``: integral tracking for a law that already integrates."""
+    """Raise ParameterError about ``sliding_mode.tracking`` if a law that integrates itself has integral tracking."""
     if parameters.sliding_mode.tracking == "integral":
         state_feedback.refuse(
             "sliding_mode.tracking",
@@ -373,9 +374,9 @@ def require_target(parameters) -> None:
 
 
 def check_with(packed):
-    """Return the check of a sliding mode controller, which designs it by ``packed(parameters, sample_time)``.
+    """Return the check of a sliding mode controller: it designs the controller by ``packed(parameters, sample_time)``.
 
-    ``packed`` raises ParameterError where the design fails.
+    ``packed`` raises ParameterError if the design fails.
     """
 
     def check(parameters, sample_time: float | None) -> None:
@@ -399,18 +400,18 @@ class SlidingController(Controller):
     runs_beside = True
 
     def initial_state(self) -> np.ndarray:
-        """Return the state before the first sample; the observer then starts from rest at the measurement."""
+        """Return the state before the first sample; in this sample the observer starts at rest at the measurement."""
         order = self.parameters.model.dynamics.order
         return np.zeros(OBSERVER + kalman_state_size(self.parameters.kalman, order) + 2 * order)
 
     @property
     def estimate(self) -> np.ndarray:
-        """The estimated state in the model's units, shape (n,); a copy."""
+        """Copy of the estimated state in the model's units, shape (n,)."""
         first = OBSERVER + ESTIMATE
         return self.x[first : first + self.parameters.model.dynamics.order].copy()
 
     def shares_observer(self, other: Controller) -> bool:
-        """Return whether both have the same Kalman filter, the same model and the same kind of target."""
+        """Return whether both controllers have the same Kalman filter, the same model and the same feedforward."""
         if not isinstance(other, SlidingController):
             return False
         mine, theirs = self.parameters, other.parameters
@@ -424,14 +425,14 @@ class SlidingController(Controller):
         self.x[STARTED] = predecessor.x[STARTED]
 
     def forget(self) -> None:
-        """Reset the integrated states: errors while another law was active do not belong in this law's integral."""
+        """Reset the integrated states: errors during another law's operation do not belong in this law's integral."""
         self.x[INTEGRAL] = 0.0
 
     def settle(self, applied: float) -> bool:
         """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
         if self.p[INTEGRATING] == 0.0 or self.p[INTEGRAL_GAIN] == 0.0 or self.x[BEGUN] == 0.0:
             return False
-        # after a reset the last command does not contain the integral
+        # after a reset, the last command does not contain an integral part
         self.x[INTEGRAL] = (self.x[LAST] - applied / self.p[INPUT_SCALE]) / self.p[INTEGRAL_GAIN]
         return True
 
@@ -441,10 +442,10 @@ class SlidingController(Controller):
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure; the controller is unchanged then.
+            The parameters are wrong or change the structure; the controller stays unchanged then.
         """
         before = self.parameters.model
         super().retune(parameters)
         if parameters.model != before:
-            # the old estimate is in the coordinates of the old model
+            # the present estimate is in the coordinates of the previous model
             self.x[STARTED] = 0.0

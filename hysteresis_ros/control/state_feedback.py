@@ -9,10 +9,10 @@
 
 """State feedback and steady Kalman gains from a discrete linear model: pole placement, Riccati equations, checks.
 
-Everything here is in the model's own units (see ``input_scale`` and ``output_scale`` of the linear model), so that
-published matrices give published gains. Shapes: A (n, n), B (n, 1), C (1, n), D (1, 1). Gains are computed in a fixed
-order (:mod:`hysteresis_ros.models.linear_algebra`), so that they are identical on every processor; only the checks
-that refuse a design (rank, stability) use LAPACK.
+All quantities are in the model's own units (see ``input_scale`` and ``output_scale`` of the linear model), so that
+published matrices give the published gains. Shapes: A (n, n), B (n, 1), C (1, n), D (1, 1). Gains are computed in a
+fixed order (:mod:`hysteresis_ros.models.linear_algebra`), so that they are identical on every processor; only the
+checks that refuse a design (rank, stability) use LAPACK.
 
 A measurement is taken just before the input of its sample changes: ``y_k = C x_k + D u_(k-1)``.
 
@@ -38,18 +38,18 @@ RANK_TOLERANCE = 1e-10
 
 
 def refuse(name: str, value, remedy: str) -> NoReturn:
-    """Raise a ParameterError about a parameter that makes a design impossible.
+    """Raise a ParameterError about the parameter that makes a design impossible.
 
     Raises
     ------
     ParameterError
-        Always, with the name of the parameter, its value and what is allowed.
+        Always; it contains the name of the parameter, its value and what is allowed.
     """
     raise ParameterError([Problem(name, value, remedy)])
 
 
 def _equilibrated(matrix):
-    """Scale rows, then columns, to length 1: the numerical rank must not depend on units."""
+    """Scale rows, then columns, to length 1, so that the numerical rank does not depend on units."""
     for axis in (1, 0):
         length = np.linalg.norm(matrix, axis=axis, keepdims=True)
         matrix = matrix / np.where(length > 0.0, length, 1.0)
@@ -57,13 +57,13 @@ def _equilibrated(matrix):
 
 
 def full_rank(matrix) -> bool:
-    """Tell whether the columns of a matrix are independent, whatever their units."""
+    """Return whether the columns of a matrix are independent, whatever their units."""
     singular = np.linalg.svd(_equilibrated(matrix), compute_uv=False)
     return bool(singular[-1] > RANK_TOLERANCE * singular[0])
 
 
 def detectable(A, C) -> bool:
-    """Tell whether every mode of A on or outside the unit circle is observable by C (Popov-Belevitch-Hautus test)."""
+    """Return whether every mode of A on or outside the unit circle is observable by C (Popov-Belevitch-Hautus test)."""
     identity = np.eye(len(A))
     return all(
         full_rank(np.vstack([A - value * identity, C]))
@@ -73,7 +73,7 @@ def detectable(A, C) -> bool:
 
 
 def stabilisable(A, B) -> bool:
-    """Tell whether every mode of A on or outside the unit circle is controllable by B."""
+    """Return whether every mode of A on or outside the unit circle is controllable by B."""
     return detectable(A.T, B.T)
 
 
@@ -83,12 +83,12 @@ def spectral_radius(A) -> float:
 
 
 def require_stable(A, name: str, value, what: str) -> None:
-    """Refuse a closed loop, or dynamics of an estimation error, that does not decay.
+    """Refuse a closed loop, or dynamics of an estimation error, with state matrix ``A``, if it does not decay.
 
     Raises
     ------
     ParameterError
-        ``name``, when an eigenvalue of ``A`` is on or outside the unit circle.
+        About ``name``, if an eigenvalue of ``A`` is on or outside the unit circle.
     """
     radius = spectral_radius(A)
     if not radius < 1.0 - BOUNDARY:
@@ -98,7 +98,7 @@ def require_stable(A, name: str, value, what: str) -> None:
 
 
 def steady_state(model: StateSpace):
-    """Return N_x and N_u of the rest point at output r: ``x_r = N_x r``, ``u_r = N_u r``.
+    """Return N_x and N_u of the rest point for the output r: ``x_r = N_x r``, ``u_r = N_u r``.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def steady_state(model: StateSpace):
     Raises
     ------
     ParameterError
-        ``model.dynamics.C``: the model's DC gain is zero, so that no input holds a displacement.
+        ``model.dynamics.C``: the DC gain of the model is zero, so that no input can hold a displacement.
     """
     n = model.order
     system = np.block([[model.A - np.eye(n), model.B], [model.C, model.D]])
@@ -130,8 +130,8 @@ def steady_state(model: StateSpace):
 def integral_system(model: StateSpace) -> StateSpace:
     """Append the integral z of the tracking error, z_k = z_(k-1) + r_k - y_k, to the model.
 
-    With y_k = C x_k + D u_(k-1), z_k contains the error of the present sample: z_(k+1) = z_k - C A x_k - (C B + D) u_k
-    + r. The returned system describes deviations from the rest point.
+    Because y_k = C x_k + D u_(k-1), z_k includes the error of the present sample: z_(k+1) = z_k - C A x_k - (C B + D)
+    u_k + r. The returned system describes deviations from the rest point.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def integral_system(model: StateSpace) -> StateSpace:
     Returns
     -------
     StateSpace
-        System with n + 1 states; its output is the model's.
+        System with n + 1 states and the output of the model.
     """
     A, B, C, D = model.A, model.B, model.C, model.D
     whole = np.block([[A, np.zeros((model.order, 1))], [-product(C, A), np.eye(1)]])
@@ -149,9 +149,9 @@ def integral_system(model: StateSpace) -> StateSpace:
 
 
 def disturbance_system(model: StateSpace, A_d=None, c_d=None) -> StateSpace:
-    """Append a disturbance d of the input (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the model.
+    """Append an input disturbance d (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the plant model.
 
-    In y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough acts on the previous disturbance, c_d A_d⁻¹ w_k.
+    In y_k = C x_k + D (u_(k-1) + d_(k-1)), the feedthrough acts on the previous disturbance d_(k-1) = c_d A_d⁻¹ w_k.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def sliding_gain(A, B, S, phi: float):
 
 
 def hyperplane_from_poles(A, B, poles):
-    """Return S with S B = 1 whose sliding motion has the given poles: Ackermann's formula after Utkin [2]_.
+    """Return S with S B = 1 for which the sliding motion has the given poles, by Ackermann's formula after Utkin [2]_.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def hyperplane_from_poles(A, B, poles):
     B : ndarray, shape (n, 1)
         Model x⁺ = A x + B u.
     poles : array_like, shape (n - 1,)
-        Discrete poles, complex ones in conjugate pairs. Φ is the n-th pole of the closed loop.
+        Discrete poles, complex ones in conjugate pairs. The n-th pole of the closed loop is Φ.
 
     Returns
     -------
@@ -247,10 +247,10 @@ def hyperplane_from_poles(A, B, poles):
 
 
 def hyperplane_lq(A, B, state_weight, input_weight: float):
-    """Return S = Bᵀ P, scaled to S B = 1, with P of the LQ problem Σ xᵀ Q x + R u² [2]_.
+    """Return S = Bᵀ P, scaled to S B = 1, where P solves the LQ problem Σ xᵀ Q x + R u² [2]_.
 
-    The sliding motion A_s = (I − B S) A is always stable: P − A_sᵀ P A_s ≥ Q. For R → 0 and Φ = 0 the linear gain is
-    the LQ gain itself.
+    The sliding motion A_s = (I − B S) A is always stable, because P − A_sᵀ P A_s ≥ Q. For R → 0 and Φ = 0 the linear
+    gain is equal to the LQ gain.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
     Raises
     ------
     ParameterError
-        ``model.dynamics.B`` not stabilisable, or ``sliding_mode.lq_state_weight`` does not weigh an unstable mode.
+        ``model.dynamics.B``: not stabilisable; or ``sliding_mode.lq_state_weight``: an unstable mode has no weight.
     """
     given = tuple(np.diag(state_weight).tolist())
     if not stabilisable(A, B):
@@ -297,10 +297,10 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
 
 
 def kalman_gain(A, C, process_noise, measurement_noise: float):
-    """Return the steady filter gain P Cᵀ (r + C P Cᵀ)⁻¹ and P of the Kalman filter [1]_ (eqs 13-15).
+    """Return the steady gain P Cᵀ (r + C P Cᵀ)⁻¹ and P of the Kalman filter [1]_ (eqs 13-15).
 
-    This is the gain of the current (filter) form. The gain of the predictor form, printed in [1]_, is A times this
-    gain. P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q (the paper prints L Q Lᵀ for Q) [3]_.
+    This is the gain of the current (filter) form. The predictor form, which [1]_ prints, has A times this gain. P is
+    the solution of P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q [3]_ (the paper prints L Q Lᵀ for Q).
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
     Raises
     ------
     ParameterError
-        ``model.dynamics.C`` or ``kalman.q``: no stable filter exists.
+        ``model.dynamics.C`` or ``kalman.q``: there is no stable filter.
     """
     if not detectable(A, C):
         refuse(
@@ -346,9 +346,10 @@ def _riccati(A, B, Q, R, name, value):
 
 
 def square_weight(values, n: int, name: str):
-    """Return an (n, n) weight from n diagonal entries or n² entries in rows.
+    """Return an (n, n) weight from its n diagonal entries or from its n² entries row by row.
 
-    ParameterError about ``name``: wrong number of entries, not symmetric or not positive semidefinite.
+    ParameterError about ``name``: the number of entries is wrong, or the weight is not symmetric or not positive
+    semidefinite.
     """
     if len(values) == n and n != 1:
         weight = np.diag(np.array(values, dtype=float))

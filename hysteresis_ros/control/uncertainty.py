@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Uncertainty of the plant in a design: parameters, or a frequency response, that differ from the model's.
+"""Uncertainty of the plant in a design: parameters, or a frequency response, that differ from those of the model.
 
-A design uses linear dynamics, because the compensator inverts hysteresis and creep. Residual hysteresis, whose slope
-depends on amplitude and history, acts on a loop like a gain deviation, and is represented as a gain deviation.
+A design uses linear dynamics, because the compensator inverts hysteresis and creep. The slope of residual hysteresis
+depends on amplitude and history. It acts on a loop like a deviation of the gain, and is represented as such.
 
-With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of its loop
-transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
+With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of the plant's
+loop transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
 
-Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance with the
-damping ratio :data:`DAMPING` is assumed at the worst frequency. It adds a/(2 DAMPING) times the static response, which
-the loop multiplies by the feedback gain |C|. The fraction a of the displacement that passes through the resonance is
-1, but less just above the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), which the
-measurement would have shown.
+Above the highest known frequency not even the magnitude of the plant's response is known. There, a resonance with the
+damping ratio :data:`DAMPING` is assumed at the worst frequency. The resonance adds a/(2 DAMPING) times the static
+response to the response of the plant, and the loop multiplies this by the feedback gain |C|. Here a is the fraction of
+the displacement that passes through the resonance. It is assumed to be 1, but less just above the known range: a
+resonance at f changes the response at f' < f by a/((f/f')² − 1), and the measurement would have shown a large change.
 
 References
 ----------
@@ -40,11 +40,11 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product, rounded, solve
 
-#: Largest relative deviation of gain, slope or times; below 1, so that no sign changes.
+#: Largest relative deviation of gain, slope or times; it is below 1, so that no sign changes.
 LARGEST = 0.5
-#: Number of corners: plants with gain and slope, times, and delay each at an end of its range.
+#: Number of corners: plants in which gain and slope, times, and delay are each at an end of their range.
 CORNERS = 8
-#: Maximum number of plants, and longest additional delay [samples].
+#: Maximum number of plants, and largest additional delay [samples].
 MOST = 10_000
 LATEST = 16.0
 
@@ -60,13 +60,13 @@ class Uncertainty:
     hysteresis : float
         Largest relative deviation of the slope by residual hysteresis.
     resonance : float
-        Largest relative deviation of all times: periods of resonances, time constants, and the model's delay.
+        Largest relative deviation of all times: periods of resonances, time constants, and the delay of the model.
     delay : float
         Largest delay beyond that of the model [samples].
     draws : int
-        Number of plants drawn at random, in addition to the corners.
+        Number of random plants, in addition to the corners.
     seed : int
-        Seed of the draws; equal seeds give equal plants.
+        Seed of the random plants; equal seeds give equal plants.
 
     Raises
     ------
@@ -95,12 +95,12 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class PossiblePlant:
-    """A plant for the evaluation of a design.
+    """A plant on which a design is judged.
 
     Parameters
     ----------
     plant : StateSpace
-        From command to measured displacement in SI.
+        From command to measured displacement, in SI units.
     late : float
         Delay in addition to that of the model [samples].
     description : str
@@ -130,11 +130,11 @@ def judge_worst(
     *,
     with_bandwidth: bool = True,
 ) -> Judged:
-    """Return the bandwidth on the first plant, the model, and the worst of all other figures on all plants.
+    """Return the bandwidth on the first plant (the model), and the worst value of every other figure over all plants.
 
-    The delay margin counts from the delay of the model, so an additional delay of a plant is included in it.
+    The delay margin is counted from the delay of the model, so that it includes an additional delay of a plant.
     ``controller`` has the inputs (reference, measured) and the output command. If ``required`` is given, the evaluation
-    ends at the first plant that does not meet it. Without ``with_bandwidth`` the bandwidth is NaN. Units:
+    ends at the first plant that does not meet it. Without ``with_bandwidth``, the bandwidth is NaN. Units:
     ``sample_time`` [s].
     """
     found: list[Judged] = []
@@ -158,11 +158,12 @@ def judge_worst(
 
 
 def slowed(dynamics: LinearParameters, slowness: float, *, aliased: bool = False) -> dict:
-    """Return the parameters that change when all times of dynamics grow by a factor: poles z^(1/slowness), and delay.
+    """Return the parameters that change if all times of the dynamics grow by a factor: poles z^(1/slowness), and delay.
 
-    The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too. The
-    result has ``A`` and ``B`` as lists if there are matrices, and ``delay`` if there is one. With ``aliased``, modes
-    above a quarter of the sample rate f_s are those of f_s - f in the plant, which move the other way.
+    The DC gain is kept. Poles on the negative real axis or at zero have no continuous-time counterpart and are kept
+    too. The result contains ``A`` and ``B`` as lists if there are matrices, and ``delay`` if there is a delay. With
+    ``aliased``, a mode at a frequency f above a quarter of the sample rate f_s is assumed to be at f_s - f in the
+    plant, so that it moves in the other direction.
     """
     delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
     model = dynamics.matrices
@@ -176,10 +177,10 @@ def slowed(dynamics: LinearParameters, slowness: float, *, aliased: bool = False
         exponents = exponents - 2j * np.pi * np.sign(exponents.imag) * (np.abs(exponents.imag) > 0.5 * np.pi)
     moved = np.where(continuous, np.exp(exponents / slowness), poles)
     exact = np.real(vectors @ np.diag(moved) @ np.linalg.inv(vectors))
-    # rounded: the last digits of logarithms and eigenvectors differ between processors
+    # rounded, because the last digits of logarithms and eigenvectors differ between processors
     changed = rounded(exact)
     identity = np.eye(len(A))
-    rest = solve(identity - A, B)  # the steady state per unit of input, which must not change
+    rest = solve(identity - A, B)  # the steady state for an input of 1, which must not change
     return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist(), **delayed}
 
 
@@ -209,7 +210,7 @@ def possible_plant(
 def drawn_plants(
     dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the model, the 8 corners of its uncertainty, and ``draws`` plants drawn evenly within it.
+    """Return the model, the 8 corners of its uncertainty, and ``draws`` plants that are uniformly random within it.
 
     ``acting`` adds the second output of :func:`~hysteresis_ros.control.margins.with_acting`. Units: ``sample_time``
     [s].
@@ -236,17 +237,17 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Number of times at which plants with aliased modes are computed: their resonances are narrow.
+#: Number of factors on the times for which plants with aliased modes are computed: their resonances are narrow.
 ALIASED = 11
 
 
 def aliased_plants(
     dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty
 ) -> tuple[PossiblePlant, ...]:
-    """Return plants within the range of times whose modes above a quarter of the sample rate are aliases.
+    """Return plants within the range of times, in which modes above a quarter of the sample rate are aliases.
 
-    Empty without such modes. A response at samples does not show whether a mode is at f or at f_s - f, and a small
-    deviation of the latter is a large one of the former. Units: ``sample_time`` [s].
+    The result is empty if there are no such modes. A sampled response does not show whether a mode is at f or at f_s -
+    f, and a small relative deviation of f_s - f is a large one of f. Units: ``sample_time`` [s].
     """
     model = dynamics.matrices
     poles = np.linalg.eigvals(model.A) if model.order else np.zeros(0)
@@ -264,24 +265,24 @@ def aliased_plants(
     return tuple(found)
 
 
-#: Damping ratio of the resonance that is assumed above the known range, and its height relative to the static response.
-#: Bare stacks, and metal flexures without glue, have damping ratios down to this value.
+#: Damping ratio of the resonance that is assumed above the known range, and height of its peak relative to the static
+#: response. Bare stacks, and metal flexures without glue, have damping ratios down to DAMPING.
 DAMPING = 0.003
 UNKNOWN = 1.0 / (2.0 * DAMPING)
-#: A resonance that carries the whole displacement, at a frequency below this factor times the known range, would change
+#: If a resonance carries the whole displacement and its frequency is below this multiple of the known range, it changes
 #: the known response by more than half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
-#: Relative distance below which a resonance cannot be separated from the known range.
+#: Relative distance below which a resonance cannot be distinguished from the known range.
 NEAREST = 0.12
-#: Required distance from −1 for every plant within the uncertainty.
+#: Required distance of the loop transfer function from −1, for every plant within the uncertainty.
 KEPT = 0.2
-#: Number of points of the grid, decades below half the sample rate, and points around each pole.
+#: Number of points of the grid, its decades below half the sample rate, and number of points around each pole.
 POINTS, DECADES, AROUND = 500, 5.0, 41
-#: Number of gains between the model's and the largest one.
+#: Number of gains that are tried from the model's gain to the largest one.
 GAINS = 9
 #: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
-#: Tolerance of a limit of the crossover: it is stored with few digits and compared on a grid of frequencies.
+#: Tolerance for a limit of the crossover, because it is stored with few digits and compared on a grid of frequencies.
 ROUNDED = 1.02
 
 
@@ -293,11 +294,11 @@ class Borne(NamedTuple):
     distance : float
         Guaranteed distance of the loop transfer function from −1; ≤ 0: stability is not guaranteed.
     frequency : float
-        Frequency of that distance [Hz].
+        Frequency at which this distance occurs [Hz].
     uncertainty : float
-        l at that frequency.
+        l at this frequency.
     nominal : float
-        Least distance on the model itself, 1/M_s.
+        Smallest distance on the model itself, 1/M_s.
     """
 
     distance: float
@@ -315,14 +316,14 @@ class ResponseUncertainty:
     frequencies : ndarray, shape (n,)
         [Hz], rising.
     relative : ndarray, shape (n,)
-        l at each frequency; constant below the first; the response is unknown above the last.
+        l at each frequency. It is constant below the first one; above the last one the response is unknown.
     known_to : float
         Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
     crossover : float
-        Highest crossover [Hz] of a loop if the recording shows a movement that the model lacks and l does not bound
-        (it rings); 0: none is known to be safe; infinite: no limit but l.
+        Highest crossover [Hz] that a loop may have because the recording shows a (ringing) movement that the model
+        lacks and l does not bound. 0: no crossover is known to be safe; infinite: only l limits the loop.
     gain : float
-        Largest factor on the gain of the plant that the recording does not exclude, for loops over a tenth of the
+        Largest factor on the gain of the plant that the recording does not rule out, for loops over a tenth of the
         range; at least 1.
     """
 
@@ -333,7 +334,7 @@ class ResponseUncertainty:
     gain: float = 1.0
 
     def at(self, frequencies) -> np.ndarray:
-        """Return l, shape (n,), linearly interpolated; above the known range it contains the assumed resonance.
+        """Return l, shape (n,), linearly interpolated; above the known range it includes the assumed resonance.
 
         Parameters
         ----------
@@ -360,7 +361,7 @@ class ResponseUncertainty:
         return np.where(above > UNSEEN, 1.0, np.where(above > 1.0, np.minimum(shown, 1.0), 0.0))
 
     def height(self, frequencies) -> np.ndarray:
-        """Return the largest height of an unknown resonance relative to the static response, shape (n,); 0 if known.
+        """Return the largest height of an unknown resonance relative to the static response, shape (n,); 0 where known.
 
         Parameters
         ----------
@@ -370,7 +371,7 @@ class ResponseUncertainty:
         return UNKNOWN * self.share(frequencies)
 
     def assumption(self, sample_time: float) -> str:
-        """Return the reason for a limit as text, if any: the crossover, or the assumption above the known range."""
+        """Return the reason for a limit of the loop as text, if any: the crossover, or the assumed resonance."""
         if self.crossover < np.inf:
             return (
                 "the recording shows a movement that the model lacks, so no crossover above "
@@ -413,11 +414,11 @@ class ResponseUncertainty:
         values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
         share = self.share(frequencies)
-        # displacement that passes through an unknown resonance does not pass through the modelled dynamics
+        # displacement that passes through an unknown resonance does not also pass through the modelled dynamics
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
         rest = relative * np.abs(parts[:, 0]) + UNKNOWN * share * gain
-        # every gain between the model's and the largest: the least distance may lie between them
+        # try gains from the model's to the largest one: the smallest distance may occur between them
         distance = np.min([np.abs(1.0 + k * values) - k * rest for k in np.linspace(1.0, self.gain, GAINS)], axis=0)
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))
@@ -429,7 +430,7 @@ class ResponseUncertainty:
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:
-    """Return an integrator whose loop with a plant of gain 1 has its crossover at a frequency.
+    """Return an integral controller whose loop with a plant of gain 1 has its crossover at a given frequency.
 
     Units: ``crossover`` [Hz], ``sample_time`` [s].
     """

@@ -9,5 +9,6 @@
 
 """Damping of resonances between a controller and the plant: an inner loop, or filters of the command.
 
-Start with :mod:`.kind` (declaration of a kind) and one file of ``kinds/``, then :mod:`.inner_loop`, which runs it.
+Start with :mod:`.kind` (declaration of a kind) and one file in ``kinds/``, then read :mod:`.inner_loop`, which runs the
+damping.
 """

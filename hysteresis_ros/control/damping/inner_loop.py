@@ -11,18 +11,18 @@
 
 Let w be the output of the law, y the measured displacement without preload offset, and f the measured force in the
 stack. With a filter F(z) of the measurement the command is u = γ w + F y. The factor γ = 1 − F(1) P(1) keeps the DC
-gain of the model P, so gains, inverses and steady states of a law stay valid with damping. With a filter of the law's
-output the command is u = F w. With a filter of the force it is u = γ w + F f. The force f = (k_a + k_f) d − k_a y,
-where d is the quasi-static displacement, passes the sensor's high-pass before the filter; the plant then has the
-outputs (y, d).
+gain of the model P, so that gains, inverses and steady states of a law stay valid with damping. With a filter of the
+law's output, the command is u = F w; with a filter of the force, it is u = γ w + F f. The force f = (k_a + k_f) d − k_a
+y, where d is the quasi-static displacement, passes through the high-pass of the force sensor before the filter; the
+plant then has the outputs (y, d).
 
-An achieved command u_applied corresponds to the law's output
+An achieved command u_applied corresponds to the output of the law
 
 w_applied = w + (u_applied − u) / b
 
-where b is the direct gain from w to u. Without saturation this is exactly w. A filter of a measurement does not wind
-up, because saturation does not change its input. A filter of the law's output has unit DC gain and decays within its
-time constants.
+where b is the direct gain from w to u. Without saturation, w_applied is exactly w. A filter of a measurement does not
+wind up, because saturation does not change its input. A filter of the law's output has unit DC gain, and the effect of
+a saturation on it decays with its time constants.
 """
 
 from __future__ import annotations
@@ -81,11 +81,11 @@ class DampingParameters(Parameters):
 
     @property
     def source(self) -> int:
-        """Input of the filter, one of the numbers of :mod:`~hysteresis_ros.control.damping.kind`."""
+        """Input of the filter, as one of the numbers in :mod:`~hysteresis_ros.control.damping.kind`."""
         return NOTHING if self.type == NONE else KINDS[self.type].source
 
     def filter(self, sample_time: float) -> StateSpace:
-        """Return the filter of the chosen kind, SI.
+        """Return the filter of the chosen kind, in SI units.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class DampingParameters(Parameters):
         return found
 
 
-#: Modulus below which poles are those of delays.
+#: Modulus below which a pole counts as that of a delay.
 AT_ZERO = 1e-3
 
 
@@ -128,20 +128,20 @@ def modes(poles, sample_time: float) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class InnerLoop:
-    """A filter, its input, and the gain from the law's output to the command.
+    """A damping filter, its input, and the gain from the law's output to the command.
 
     Parameters
     ----------
     filter : StateSpace
-        SI.
+        In SI units.
     source : int
         Input of the filter.
     forward : float
         γ, weight of the law's output parallel to the filter; 0 if the filter's input is the law's output.
     seen : ndarray, shape (1, q)
-        Row that computes the filter's input from the plant's outputs.
+        Row that computes the filter's input from the outputs of the plant.
     sensor : StateSpace, optional
-        Dynamics of a sensor before the filter.
+        Dynamics of a sensor in front of the filter.
     """
 
     filter: StateSpace
@@ -157,7 +157,7 @@ class InnerLoop:
 
     @property
     def direct(self) -> float:
-        """Change of the command per change of the law's output in the same sample."""
+        """Change of the command divided by the change of the law's output in the same sample."""
         return float(self.filter.D[0, 0]) if self.source == COMMAND else self.forward
 
     def around(self, plant: StateSpace, scale: float = 1.0) -> StateSpace:
@@ -166,10 +166,10 @@ class InnerLoop:
         Parameters
         ----------
         plant : StateSpace
-            From command to measured displacement, y_k = C x_k; if the filter's input is the force, with the
-            quasi-static displacement as second output.
+            From command to measured displacement, y_k = C x_k. If the filter's input is the force, the second output
+            must be the quasi-static displacement.
         scale : float
-            SI units per unit of the plant's output, divided by SI units per unit of its input.
+            Ratio of SI units per unit of the plant's output to SI units per unit of its input.
         """
         F = self.feedback
         n, m = plant.order, F.order
@@ -184,7 +184,7 @@ class InnerLoop:
         return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C[:1]]), np.zeros((1, 1)))
 
     def behind(self, controller: StateSpace) -> StateSpace:
-        """Return controller and damping as one system, from (reference, the outputs of the plant) to the command.
+        """Return controller and damping as one system, from (reference, outputs of the plant) to command.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ class InnerLoop:
             return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
         A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
         only_seen = np.hstack([[[0.0]], self.seen])
-        # the law measures the displacement only
+        # the law uses only the displacement
         unseen = (0, 0), (0, self.seen.shape[1] - 1)
         B = np.vstack([np.pad(controller.B, unseen), F.B @ only_seen])
         D = self.forward * np.pad(controller.D, unseen) + F.D @ only_seen
@@ -209,10 +209,10 @@ class InnerLoop:
 def inner_loop(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> InnerLoop:
-    """Return the inner loop of the damping, of a type other than none, for a model.
+    """Return the inner loop of a damping filter around a model; the type of the damping is not none.
 
-    ParameterError: the filter cannot run at this sample time [s], or it uses the force and ``force`` has no model of
-    it.
+    ParameterError: the filter cannot run at this sample time [s], or it uses the force and ``force`` contains no model
+    of the force.
     """
     found, source = damping.filter(sample_time), damping.source
     only_displacement = np.ones((1, 1))
@@ -244,7 +244,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
 def closing(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
-    """Return a function that takes a plant in SI units and returns the damped plant, or without a damping itself.
+    """Return a function that takes a plant in SI units and returns the damped plant; without damping, the plant itself.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def closing(
 
 
 def undamped(dynamics: LinearParameters) -> StateSpace:
-    """Return a minimal model from command to measured displacement in its own units."""
+    """Return a minimal model from command to measured displacement, in the units of ``dynamics``."""
     model = dynamics.state_space
     return model.held() if model.D.item() != 0.0 else model
 
@@ -317,7 +317,7 @@ def damped(
     )
 
 
-# Parameter array: a head, then A (n·n, row by row), B, C and the steady state for an input of one (n each).
+# Parameter array: a head, then A (n·n, row by row), B, C and the steady state for an input of 1 (n each).
 SOURCE = 0
 ORDER = 1
 PRELOAD = 2  # offset of the measurement [m]
@@ -327,7 +327,7 @@ DIRECT = 5  # b
 MATRICES = 6
 PARAMETERS = MATRICES + MOST_STATES * (MOST_STATES + 3)
 
-# State array: a head, then n states and n numbers of scratch.
+# State array: a head, then n states and n entries of scratch.
 STARTED = 0  # 0.0: the next call starts at rest
 OUTPUT = 1  # last output of the law, w [m]
 COMMAND_PLACE = 2  # last command, u [m]
@@ -362,7 +362,7 @@ def damp(p, x, output, measured, force):
 
 @kernel
 def as_output(p, x, command):
-    """Return the output of the law [m] that corresponds to the achieved last ``command`` [m]."""
+    """Return the output of the law [m] that corresponds to ``command`` [m], the last command as it was achieved."""
     if p[SOURCE] == NOTHING:
         return command
     return x[OUTPUT] + (command - x[COMMAND_PLACE]) / p[DIRECT]
@@ -407,19 +407,19 @@ class Damping(Block):
 
     @property
     def direct(self) -> float:
-        """Change of the command per change of the law's output in the same sample."""
+        """Change of the command divided by the change of the law's output in the same sample."""
         return float(self.p[DIRECT])
 
     def retune(self, parameters) -> None:
-        """Change the filter while running, also its kind; the caller then arms the hand-over behind it.
+        """Change the filter, or its kind, while running; the caller must then arm the hand-over behind the damping.
 
-        States of a filter of the same kind and order continue, shifted by the change of the steady state for the
-        present input. A filter of another kind or order starts in its steady state.
+        The states of a filter of the same kind and order continue; they are shifted by the change of their steady state
+        for the present input. A filter of another kind or order starts in its steady state.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong or the inner loop would be unstable; nothing is changed then.
+            The parameters are wrong, or the inner loop would be unstable. Nothing is changed then.
         """
         packed = self.pack(parameters.validated())
         same = parameters.damping.type == self.parameters.damping.type and packed[ORDER] == self.p[ORDER]

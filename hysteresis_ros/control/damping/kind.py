@@ -9,9 +9,9 @@
 
 """Declaration of a kind of damping, and discrete filters for kinds.
 
-Filters are discretised by s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2) a filter has exactly its continuous-time
-response at ω; with h = 2/T its response approaches the continuous-time one at low frequencies. Stable filters stay
-stable at any sample time.
+Filters are discretised by s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2), the discrete filter has exactly the
+continuous-time response at ω. With h = 2/T, its response approaches the continuous-time response at low frequencies. A
+stable filter stays stable at any sample time.
 
 References
 ----------
@@ -33,20 +33,20 @@ from hysteresis_ros.models import elementary
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import product
 
-#: Inputs of a filter: none, the measured displacement, the output of the law, the measured force in the stack.
+#: Inputs of a filter: none, measured displacement, output of the law, and measured force in the stack.
 NOTHING, MEASUREMENT, COMMAND, FORCE = range(4)
 #: Maximum number of states of a filter.
 MOST_STATES = 8
 
 
 def shortened(value: float) -> float:
-    """Return a number rounded to four significant digits, because further digits may differ between processors."""
+    """Return a number rounded to four significant digits, because the other digits may differ between processors."""
     return float(f"{value:.4g}")
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The resonance that a design damps.
+    """Resonance that a design damps.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ class Mode:
     damping : float
         Damping ratio.
     gain : float
-        DC gain of the whole model: displacement per command.
+        DC gain of the whole model: displacement divided by command.
     force : float
-        Force per command far above the resonance [N/m]; 0: no force sensor.
+        Force divided by command far above the resonance [N/m]; 0: there is no force sensor.
     """
 
     frequency: float
@@ -68,7 +68,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class DampingKind:
-    """A kind of damping: its parameters, its filter, and the search ranges of a design.
+    """A kind of damping: its parameters, its filter, and the ranges in which a design searches.
 
     Parameters
     ----------
@@ -77,17 +77,17 @@ class DampingKind:
     description : str
         Short description for the table of parameters.
     source : int
-        ``MEASUREMENT``, ``COMMAND`` or ``FORCE``: the filter's input.
+        Input of the filter: ``MEASUREMENT``, ``COMMAND`` or ``FORCE``.
     parameters : type
         Group ``damping.<name>``.
     filter : callable
-        ``filter(parameters, sample_time)`` returns a :class:`StateSpace` of one input and one output, of at most
-        ``MOST_STATES`` states; it raises ParameterError, with names relative to its group, if it cannot run at this
-        sample time.
+        ``filter(parameters, sample_time)`` returns a :class:`StateSpace` with one input, one output and at most
+        ``MOST_STATES`` states. It raises ParameterError, with names relative to the kind's group, if the filter cannot
+        run at this sample time.
     ranges : callable
         ``ranges(mode)`` returns boxes, each a tuple of (low, high, logarithmic), in which a design searches.
     chosen : callable
-        ``chosen(point, mode)`` returns the parameters of a point of such a box.
+        ``chosen(point, mode)`` returns the parameters for a point of such a box.
     """
 
     name: str
@@ -100,7 +100,9 @@ class DampingKind:
 
 
 def warped(frequency: float, sample_time: float) -> float:
-    """Return h [1/s] with which a discrete filter has its continuous-time response at a frequency.
+    """Return h [1/s] of the prewarped bilinear transform s = h (z − 1)/(z + 1) for a frequency.
+
+    A filter discretised with this h has the response of its continuous-time original at ``frequency``.
 
     Units: ``frequency`` [Hz], below half the sample rate; ``sample_time`` [s].
     """
@@ -109,7 +111,7 @@ def warped(frequency: float, sample_time: float) -> float:
 
 
 def first_order(gain: float, rate: float, sample_time: float) -> StateSpace:
-    """Return gain/(s + rate) of one input and one output.
+    """Return the filter gain/(s + rate), with one input and one output.
 
     Parameters
     ----------
@@ -126,14 +128,14 @@ def first_order(gain: float, rate: float, sample_time: float) -> StateSpace:
 
 
 def second_order(numerator, denominator, h: float) -> StateSpace:
-    """Return (b₂ s² + b₁ s + b₀)/(a₂ s² + a₁ s + a₀) of one input and one output.
+    """Return the filter (b₂ s² + b₁ s + b₀)/(a₂ s² + a₁ s + a₀), with one input and one output.
 
     Parameters
     ----------
     numerator, denominator : tuple of float, shape (3,)
         (b₂, b₁, b₀) and (a₂, a₁, a₀).
     h : float
-        h of the transformation [1/s].
+        h of the bilinear transform [1/s].
     """
     above, below = _discrete(numerator, h), _discrete(denominator, h)
     b0, b1, b2 = (value / below[0] for value in above)
@@ -149,7 +151,7 @@ def _discrete(coefficients, h: float) -> tuple[float, float, float]:
 
 
 def in_series(systems) -> StateSpace:
-    """Return the series connection of systems with one input and one output; the first receives the input."""
+    """Return the series connection of systems with one input and one output; the first system receives the input."""
     found, *others = systems
     for after in others:
         corner = np.zeros((found.order, after.order))
@@ -163,7 +165,7 @@ def in_series(systems) -> StateSpace:
 
 
 def in_parallel(systems) -> StateSpace:
-    """Return the sum of systems with one input and one output."""
+    """Return the sum of the outputs of systems with one input and one output, all with the same input."""
     found, *others = systems
     for beside in others:
         corner = np.zeros((found.order, beside.order))
@@ -177,9 +179,9 @@ def in_parallel(systems) -> StateSpace:
 
 
 def require_filters(parameters, most: int, beside: tuple[str, ...]):
-    """Yield a Problem for no filter, more than ``most`` filters, or filters with missing numbers.
+    """Yield a Problem if there is no filter, if there are more than ``most``, or if numbers of filters are missing.
 
-    ``beside`` names the arrays with one number per filter, besides ``frequencies``.
+    ``beside`` contains the names of the arrays, in addition to ``frequencies``, that have one number per filter.
     """
     count = len(parameters.frequencies)
     if not 1 <= count <= most:
@@ -192,7 +194,7 @@ def require_filters(parameters, most: int, beside: tuple[str, ...]):
 
 
 def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: float) -> None:
-    """Raise ParameterError, about ``frequencies``, for a filter at or above half the sample rate.
+    """Raise ParameterError about ``frequencies`` if a filter is at or above half the sample rate.
 
     Units: ``frequencies`` [Hz], ``sample_time`` [s].
     """

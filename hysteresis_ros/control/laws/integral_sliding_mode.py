@@ -9,8 +9,8 @@
 
 r"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
 
-The switching function is the distance of the state from the state of the nominal dynamics, which start at the same
-point (x̄_0 = x̂_0, so s_0 = 0):
+The switching function is the distance, weighted by S, of the state from the state of the nominal dynamics. Both states
+start at the same point (x̄_0 = x̂_0, so s_0 = 0):
 
 .. math::
 
@@ -21,13 +21,13 @@ point (x̄_0 = x̂_0, so s_0 = 0):
    u_1 &= -\hat d - \Lambda^{-1} (1 - \rho) s
    - \left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \frac{s}{|s| + \delta}
 
-with the nominal state feedback u0 and the rejection u1. Only the innovation ε of the Kalman filter drives s: s_(k+1) =
-ρ s_k − Λ u_n + S L ε [1]_ [2]_, with ρ = ``rejection_pole`` and the nonlinear part u_n. A step of the reference does
-not change s. With ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
-hand-over or by limits. It is known and is part of the nominal dynamics, so there is no windup.
+with the nominal state feedback u0 and the rejection u1. Only the innovation ε of the Kalman filter drives s [1]_ [2]_:
+s_(k+1) = ρ s_k − Λ u_n + S L ε, with ρ = ``rejection_pole`` and the nonlinear part u_n of u1. A step of the reference
+does not change s. With ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
+hand-over or by limits. This change is known and is included in the nominal dynamics, so there is no windup.
 
-d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate a matched disturbance affects the law only
-through the innovation, and the law rejects only a part of it.
+d̂ is the disturbance that the filter estimates (``kalman.disturbance``). Without this estimate, a matched disturbance
+affects the law only through the innovation, and the law rejects only a part of the disturbance.
 
 References
 ----------
@@ -76,9 +76,9 @@ from hysteresis_ros.models.block import kernel
 
 #: p[REJECTION]: (1 − ρ) / Λ.
 REJECTION = OWN
-#: x[SLIDING]: s of the last sample.
+#: x[SLIDING]: s of the previous sample.
 SLIDING = MEMORY
-#: x[FORESEEN]: S (A x̂ + B u0) of the last sample.
+#: x[FORESEEN]: S (A x̂ + B u0) of the previous sample.
 FORESEEN = MEMORY + 1
 
 
@@ -99,14 +99,14 @@ def integral_sliding_mode(p, x, reference, measured):
         s = bounded(x[SLIDING] + place - x[FORESEEN] - p[LAMBDA] * changed)
     nominal = x[TARGET] - x[LINEAR]
     x[SLIDING] = s
-    # S A = Λ K + Φ S
+    # because S A = Λ K + Φ S
     x[FORESEEN] = bounded(p[LAMBDA] * (pull + nominal) + p[PHI] * place)
     return leave(p, x, s, nominal - x[OBSERVER + OFFSET] - p[REJECTION] * s - boundary_layer(p, s))
 
 
 @lru_cache(maxsize=16)
 def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the whole parameter array of ControllerParameters (read only).
+    """Return the parameter array for ControllerParameters (read-only).
 
     ParameterError: the design fails; names are relative to the controller's parameters.
     """

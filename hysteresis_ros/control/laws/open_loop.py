@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The simplest controller: it passes on the reference, or the command of the feedforward."""
+"""The simplest controller: it outputs the reference, or the command of the feedforward."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hysteresis_ros.models.block import kernel
 
 @kernel
 def open_loop(p, x, reference, measured):
-    """Return the feedforward's command, or without one the reference; the estimate is the measurement."""
+    """Return the feedforward's command, or the reference without feedforward; the estimate is the measurement."""
     command = x[FEEDFORWARD] if p[FED] != 0.0 else reference
     x[ESTIMATED] = measured
     x[STARTED] = 1.0
@@ -39,7 +39,7 @@ def open_loop(p, x, reference, measured):
 
 
 class OpenLoop(Controller):
-    """Passes on the reference, or the command of the feedforward."""
+    """Controller that outputs the reference, or the command of the feedforward."""
 
     kernel = staticmethod(open_loop)
     runs_beside = True

@@ -25,25 +25,26 @@ Discretisation: exact for signals that are straight lines between the samples (f
 
 (trapezoidal rule; N = 0: no filter, a = 0).
 
-*Roll-off.* With a cut-off ω > 0 [rad/s] r and y first pass through two equal low-passes
+*Roll-off.* With a cut-off ω > 0 [rad/s], r and y each pass through two equal low-passes
 
 .. math::
 
    f_k = f_{k-1} + (1 - e^{-\omega T}) (r_k - f_{k-1})
 
-each, so that the gain of the feedback falls with the square of the frequency above ω. They begin at the measured
-position. A design uses them where nothing is known about the plant (:mod:`hysteresis_ros.control.uncertainty`).
+before the PID, so that the gain of the feedback falls with the square of the frequency above ω. The low-passes begin at
+the measured position. A design uses them if nothing is known about the plant at high frequencies
+(:mod:`hysteresis_ros.control.uncertainty`).
 
-The first sample does not act as a step: I starts at the value that
-continues the command, D at zero.
+The first sample does not act as a step: I starts at the value that continues the command, and D starts at zero.
 
-Anti-windup uses the achieved command. The excess is the part of the last command beyond the controller's own limits or
-those of the compensator, which reports the achieved command in ``x[APPLIED]``. *clamping* stops the integral while it
-would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an approximate inverse (Picard
-steps) command and achieved command differ even without saturation, so differences below a threshold do not count.
+Anti-windup uses the achieved command. The excess is the part of the last command that lies beyond the controller's own
+limits or those of the compensator. (The compensator reports the achieved command in ``x[APPLIED]``.) *clamping* stops
+the integral while it would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an
+approximate inverse (Picard steps) the achieved command differs from the command even without saturation, so differences
+below a threshold do not count.
 
-A design places the zeros of the discrete PID on the slowest poles of the model. The loop transfer function is then
-g/(z − 1) times the remaining dynamics, and the response to the reference is close to a first-order lag whose bandwidth
+A design places the zeros of the discrete PID on the slowest poles of the model. Then the loop transfer function is g/(z
+− 1) times the remaining dynamics. The response to the reference is close to a first-order lag, and its bandwidth
 increases with g. The cancelled poles depend on the number of states of the model:
 
 * no dynamics: the pole z = 0 of the one-sample delay (PI),
@@ -90,7 +91,7 @@ from hysteresis_ros.models.block import kernel
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import eigenvalues, polynomial, solve
 
-# Parameter array (FED first).
+# Parameter array (begins with FED).
 INPUT_SCALE = 1
 OUTPUT_SCALE = 2
 PRELOAD = 3
@@ -106,7 +107,7 @@ THRESHOLD = 12
 LIMITED = 13
 MINIMUM = 14
 MAXIMUM = 15
-REST_COMMAND = 16  # command that holds an output of one
+REST_COMMAND = 16  # command that holds an output of 1
 ROLL_OFF = 17  # exp(−ω T) of the low-passes, 0 without them
 PARAMETERS = 18
 
@@ -148,7 +149,7 @@ def pid(p, x, reference, measured):
     if p[FED] != 0.0:
         fed = bounded(x[FEEDFORWARD]) / p[INPUT_SCALE]
     if x[STARTED] == 0.0:
-        # assume that the axis was at rest at its measured position, without error, at the achieved command
+        # assume that the axis was at rest at its measured position, without error, with the achieved command
         x[STARTED] = 1.0
         holding = p[REST_COMMAND] * y
         last = applied / p[INPUT_SCALE]
@@ -228,7 +229,7 @@ class PidParameters(Parameters):
     output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: no limits")
 
     def check(self):
-        """Yield a Problem when all gains are 0 or the limits are reversed."""
+        """Yield a Problem if all gains are 0 or the limits are reversed."""
         if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
             yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
         if self.limited and not self.output_minimum < self.output_maximum:
@@ -241,11 +242,11 @@ class PidParameters(Parameters):
         return self.output_minimum != 0.0 or self.output_maximum != 0.0
 
     def decay(self, sample_time: float) -> float:
-        """Return a = exp(−N T) of the derivative's filter for ``sample_time`` [s], 0 without a filter."""
+        """Return a = exp(−N T) of the derivative filter for ``sample_time`` [s]; 0 if there is no filter."""
         return elementary.exp(-self.derivative_filter * sample_time) if self.derivative_filter > 0.0 else 0.0
 
     def filtered(self, sample_time: float) -> float:
-        """Return exp(−ω T) of the roll-off for ``sample_time`` [s], 0 without one."""
+        """Return exp(−ω T) of the roll-off for ``sample_time`` [s]; 0 if there is no roll-off."""
         return elementary.exp(-self.roll_off * sample_time) if self.roll_off > 0.0 else 0.0
 
     def tracking(self, sample_time: float) -> float:
@@ -261,8 +262,8 @@ class PidParameters(Parameters):
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
     """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of 1.
 
-    Its states are the integral and the filtered derivative, without those of zero gain, and before them the two
-    low-passes of the roll-off, if any.
+    The states are the two low-passes of the roll-off, if any, then the integral and the filtered derivative, as far as
+    their gains are not 0.
     """
     a = parameters.decay(sample_time)
     slope = parameters.Kd * (1.0 - a) / sample_time
@@ -274,7 +275,7 @@ def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace
 
 
 def _rolled_off(controller: StateSpace, a: float) -> StateSpace:
-    """Return a controller of the error behind two low-passes with the pole ``a``."""
+    """Return the series of two low-passes with the pole ``a`` and a controller of the error."""
     b = 1.0 - a
     rows = np.array([[b, -b], [b * b, -b * b]])  # of the filters' outputs in this sample
     A = np.block(
@@ -291,8 +292,8 @@ def _rolled_off(controller: StateSpace, a: float) -> StateSpace:
 def require_stable_pid(parameters, sample_time: float | None) -> None:
     """Raise ParameterError for gains that make the controller's own model unstable.
 
-    Nothing is checked without a sample time, or without a model, that is without A and with an input scale other than
-    0: the gain is unknown then.
+    Nothing is checked without a sample time, or without a model. There is no model if A is missing and the input scale
+    is not 0, because the gain is then unknown.
     """
     dynamics, gains = parameters.model.dynamics, parameters.pid
     if sample_time is None:
@@ -378,24 +379,25 @@ class Pid(Controller):
 
 #: Requirements of a purely integral controller.
 CALM = replace(REQUIRED, sensitivity_peak=1.4)
-#: Modulus below which poles count as those of a delay; several poles at 0 are computed with about this error.
+#: Modulus below which poles count as those of a delay; if several poles are at 0, the error of computed poles is about
+#: this.
 AT_ZERO = 1e-3
-#: Default cut-off of the derivative filter as a fraction of the sampling angular frequency.
+#: Default cut-off of the derivative filter, as a fraction of the sampling frequency [rad/s].
 FILTER = 0.2
-#: Fraction of the step response below which a slow pole is not cancelled. (The high-pass of a damping filter has such a
-#: pole, with a zero near it.)
+#: A slow pole is not cancelled if it contributes less than this fraction of the step response. (The high-pass of a
+#: damping filter has such a pole, with a zero near it.)
 LITTLE = 0.02
-#: Distance from a pole at which its residue is evaluated, as a fraction of its distance from 1.
+#: Distance from a pole at which its residue is evaluated, as a fraction of the pole's distance from 1.
 NEAR = 1e-4
-#: Steps of the search for the gain.
+#: Number of steps of the search for the gain.
 STEPS = 60
 
 
 def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: float):
     """Return (K_p, K_i, K_d) of a discrete PID with numerator g (z − z₁)(z − z₂), or g (z − z₁) for a PI.
 
-    ``zeros`` are one for a PI, two (real or a conjugate pair) for a PID; ``gain`` is g. Units: ``sample_time`` [s],
-    ``derivative_filter`` [rad/s].
+    ``zeros`` contains one zero for a PI and two zeros (real or a conjugate pair) for a PID; ``gain`` is g. Units:
+    ``sample_time`` [s], ``derivative_filter`` [rad/s].
     """
     wanted = gain * polynomial(zeros)
     half = 0.5 * sample_time
@@ -410,11 +412,11 @@ def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: fl
 
 
 def slowest_poles(model: StateSpace, poles: list[complex] | None = None) -> list[complex]:
-    """Return the poles that a PI or PID cancels: one or two, among ``poles`` of the model or its exact ones."""
+    """Return the one or two poles that a PI or PID cancels, from ``poles`` or the model's exact poles."""
     if not model.order:
         return [0.0]
     poles = sorted(eigenvalues(model.A) if poles is None else poles, key=_slowness, reverse=True)
-    # poles at zero are a delay, which no zero can cancel
+    # poles at zero are a delay, which a zero cannot cancel
     poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
     while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
         poles = poles[1:]
@@ -428,14 +430,14 @@ def slowest_poles(model: StateSpace, poles: list[complex] | None = None) -> list
 
 
 def _share(model: StateSpace, pole: float) -> float:
-    """Return the fraction of the step response that decays with a real pole."""
+    """Return the fraction of the step response that decays with the given real pole."""
     near = NEAR * (1.0 - pole)
     residue = near * complex(model.response([pole + near])[0, 0, 0])
     return abs(residue / (1.0 - pole) / model.dc_gain)
 
 
 def _slowness(pole: complex) -> float:
-    return pole.real * pole.real + pole.imag * pole.imag  # abs() is hypot of the C library
+    return pole.real * pole.real + pole.imag * pole.imag  # abs() would use hypot of the C library
 
 
 def design_pid(
@@ -452,24 +454,24 @@ def design_pid(
     Parameters
     ----------
     given : PidParameters
-        Parameters; the design replaces the gains, the setpoint weights and, if it is 0 and needed, the derivative
-        filter.
+        Parameters. The design replaces the gains, the setpoint weights and, if a derivative filter is needed and the
+        given one is 0, the derivative filter.
     dynamics : LinearParameters
         The model.
     sample_time : float
         [s]
     bandwidth : float, optional
-        Frequency at which the response to the reference falls by 3 dB [Hz]; by default the highest that the plants
-        allow.
+        Frequency at which the response to the reference has fallen by 3 dB [Hz]; by default the highest one that the
+        plants allow.
     plants : tuple of PossiblePlant, optional
         Plants on which the requirements must hold, the model first; by default the model alone.
     aimed : Requirements, optional
-        Requirements of a design without a given bandwidth. With a given bandwidth :data:`REQUIRED` applies.
+        Requirements of a design without a given bandwidth. With a given bandwidth, :data:`REQUIRED` applies.
 
     Raises
     ------
     ParameterError
-        ``bandwidth`` is more than the model allows with the margins of every design.
+        ``bandwidth`` is larger than the model allows with the margins required of every design.
     """
     zeros = slowest_poles(dynamics.state_space)
     cut_off = given.derivative_filter
@@ -515,9 +517,9 @@ def design_pid(
 
 
 def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
-    """Return the largest gain of a pure integral controller with M_s = 1.4 and the other margins.
+    """Return the largest gain of a purely integral controller with M_s ≤ 1.4 that meets the other margins.
 
-    ParameterError: no such gain exists.
+    ParameterError: there is no such gain.
     """
     plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
 
@@ -531,7 +533,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
 
 
 def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
-    """Return the largest gain g such that g and all smaller gains meet the requirements."""
+    """Return the largest gain g for which g and all smaller gains meet the requirements."""
 
     def good(g):
         return judged(sign * g).meets(required)
@@ -557,7 +559,7 @@ def _largest_gain(judged, required: Requirements, sign: float, start: float) -> 
     return sign * low
 
 
-#: Damping ratio below which a cancelled pair of poles rings noticeably when a disturbance excites it.
+#: Damping ratio below which a cancelled pair of poles rings noticeably after a disturbance.
 LITTLE_DAMPING = 0.1
 
 
@@ -585,7 +587,7 @@ def rows(parameters, sample_time: float):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield a warning about cancelled poles with little damping; without zeros nothing is cancelled."""
+    """Yield a warning about cancelled poles with little damping; a controller without zeros cancels nothing."""
     if not (parameters.pid.Kp or parameters.pid.Kd):
         return
     pole = slowest_poles(parameters.model.dynamics.state_space)[0]
@@ -600,7 +602,7 @@ def doubts(parameters, sample_time: float, tuned: bool):
 
 
 def started(parameters, sample_time: float):
-    """Return the initial parameters of a tuning, by lambda tuning."""
+    """Return the parameters with which a tuning starts, by lambda tuning."""
     return replace(parameters, pid=design_pid(parameters.pid, parameters.model.dynamics, sample_time))
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Sliding mode controller with boundary layer on the state estimated by a Kalman filter (K5, K6).
+r"""Sliding mode controller with boundary layer, for the state that a Kalman filter estimates (K5, K6).
 
 Let x_e = x̂ − x* be the distance from the target (rest point or trajectory, see
 :mod:`hysteresis_ros.control.sliding_surface`), s = S x_e the switching function and Λ = S B:
@@ -18,10 +18,10 @@ Let x_e = x̂ − x* be the distance from the target (rest point or trajectory, 
    u_l &= -\Lambda^{-1} (S A - \Phi S) \, x_e \\
    u_n &= -\left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \, \frac{s}{|s| + \delta}
 
-with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12. (Eq. 9 prints S B instead of S A. The
-factor sign(Λ) is not printed: their Λ is positive.) The printed law regulates to zero; with the rest point as target it
-follows a reference. With ``tracking: integral`` the state x_e is extended by z_k = z_(k-1) + r_k − y_k (in the model's
-output unit), and S and K have one more entry.
+with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12. (Eq. 9 of [1]_ prints S B instead of S A.
+The factor sign(Λ) is not printed, because Λ is positive there.) The printed law controls the state to zero; here the
+rest point is the target, so that the law follows a reference. With ``tracking: integral`` the state x_e is extended by
+z_k = z_(k-1) + r_k − y_k (in the model's output unit), and S and K have one more entry.
 
 References
 ----------
@@ -59,7 +59,7 @@ def sliding_mode(p, x, reference, measured):
 
 
 def packed_sliding_mode(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the whole parameter array of ControllerParameters (read only).
+    """Return the parameter array for ControllerParameters (read-only).
 
     ParameterError: the design fails; names are relative to the controller's parameters.
     """
@@ -85,7 +85,7 @@ class SlidingMode(SlidingController):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield a warning that without an estimated disturbance an offset remains."""
+    """Yield a warning that an offset remains if the disturbance is not estimated."""
     if parameters.kalman.disturbance == "none":
         yield "model errors cause an offset, because the disturbance is not estimated; offset_free estimates it"
 
@@ -97,7 +97,7 @@ CONTROLLER = ControllerLaw(
     groups={"sliding_mode": SlidingModeParameters, "kalman": KalmanParameters},
     check=check_with(packed_sliding_mode),
     designs={
-        # the published law estimates no disturbance; integral sliding mode needs the estimate to reject disturbances
+        # the published law estimates no disturbance; integral sliding mode needs the estimate to reject a disturbance
         "smc": lambda task: sliding_gains(task, "smc", reaching_law, disturbed=False),
         "offset_free": lambda task: sliding_gains(task, "offset_free", reaching_law),
     },

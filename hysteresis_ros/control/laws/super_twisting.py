@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Super-twisting controller: its continuous command keeps the switching function at zero under drifting disturbances.
+r"""Super-twisting controller: a continuous command keeps the switching function at zero under drifting disturbances.
 
 Let σ = Λ⁻¹ S x_e be the switching function in the unit of the command (:mod:`hysteresis_ros.control.sliding_surface`
 defines u* and x_e):
@@ -16,7 +16,7 @@ defines u* and x_e):
 
    u = u^* - \hat d - \Lambda^{-1} (S A - S) \, x_e + u_{st}
 
-This is the equivalent control, so σ⁺ = σ + u_st + innovation. The explicit law is
+The first three terms are the equivalent control, so σ⁺ = σ + u_st + innovation. The explicit law is
 
 .. math::
 
@@ -30,14 +30,14 @@ and the implicit law [2]_ [3]_ is
    w^+ = w - \min(\max(\sigma, -k_2 T), k_2 T), \qquad
    \tilde\sigma + k_1 |\tilde\sigma|^{1/2} \mathrm{sign}\,\tilde\sigma = \sigma
 
-The explicit law is the sampled continuous law: σ circles around zero, and its sign makes the command chatter by about
+The explicit law is the sampled continuous law: σ oscillates around zero, and sign σ makes the command chatter by about
 k2 T. The implicit law evaluates the square root part at the end of the sample (backward Euler) and the set-valued sign
-by projection: while |σ| ≤ k2 T the sign is σ/(k2 T). Under a constant disturbance σ then stays at zero without
-chattering, and w is the negative disturbance.
+by projection: while |σ| ≤ k2 T, the sign is replaced by σ/(k2 T). Under a constant disturbance σ then stays at zero
+without chattering, and w is the negative disturbance.
 
-In continuous time, σ̇ = v + a with |ȧ| ≤ L_a reaches zero in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. A sample
-of the command is u = T v. If the rate of a disturbance of the command is bounded by L per second, L_a = L/T and the
-gains become k1 = 1.5 √(L T), k2 = 1.1 L (``gains: from_bound``).
+In continuous time, σ̇ = v + a with |ȧ| ≤ L_a reaches zero in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. In
+discrete time, the command of a sample is u = T v. If the rate of change of a disturbance of the command is bounded by L
+per second, L_a is L/T, and the gains become k1 = 1.5 √(L T), k2 = 1.1 L (``gains: from_bound``).
 
 References
 ----------
@@ -45,8 +45,8 @@ References
 .. [2] Acary & Brogliato, Implicit Euler numerical scheme and chattering-free implementation of sliding mode systems,
    Systems & Control Letters 59(5), 2010 (the projection).
 .. [3] Brogliato, Polyakov & Efimov, The implicit discretization of the super-twisting sliding-mode control algorithm,
-   IEEE TAC 65(8), 2020. Their law joins both parts in one inclusion, so σ settles at the disturbance of one sample
-   instead of zero.
+   IEEE TAC 65(8), 2020. Their law combines both parts in one inclusion, so that σ settles at the disturbance of one
+   sample instead of zero.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ from hysteresis_ros.control.sliding_surface import (
 )
 from hysteresis_ros.models.block import kernel
 
-# Entries of the law in p.
+# Entries of the law in the parameter array p.
 ROOT_GAIN = OWN  # k1
 STEP = OWN + 1  # k2 T
 IMPLICIT = OWN + 2
@@ -111,7 +111,7 @@ def super_twisting(p, x, reference, measured):
     before = x[TWIST]
     if p[IMPLICIT] != 0.0:
         change = -sign * min(size, p[STEP])
-        # the positive root q of q² + k1 q = |σ| without cancellation; k1 > 0
+        # q is the positive root of q² + k1 q = |σ|, computed without cancellation; k1 > 0
         root = 2.0 * size / (p[ROOT_GAIN] + math.sqrt(p[ROOT_GAIN] * p[ROOT_GAIN] + 4.0 * size))
     else:
         change = -sign * p[STEP]
@@ -127,7 +127,7 @@ def super_twisting(p, x, reference, measured):
 
 @dataclass(frozen=True)
 class SuperTwistingParameters(Parameters):
-    """Gains of the super-twisting controller, in the model's units; its hyperplane is that of ``sliding_mode``."""
+    """Gains of the super-twisting controller, in the units of the model; the hyperplane is that of ``sliding_mode``."""
 
     gains: str = parameter(
         "from_bound",
@@ -167,7 +167,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
 
 @lru_cache(maxsize=16)
 def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the whole parameter array of ControllerParameters (read only), only checked without a sample time.
+    """Return the parameter array for ControllerParameters (read-only); without a sample time they are only checked.
 
     ParameterError: the design fails; names are relative to the controller's parameters.
     """
@@ -177,7 +177,7 @@ def packed_super_twisting(parameters, sample_time: float | None = None) -> np.nd
     k1, k2 = twisting_gains(parameters.super_twisting, seconds)
     packed = packed.copy()
     n = parameters.model.dynamics.order
-    # K of the reaching law is Λ⁻¹ (S A − Φ S); the equivalent control is the same with Φ = 1
+    # K of the reaching law is Λ⁻¹ (S A − Φ S); that of the equivalent control is the same with Φ = 1
     packed[GAINS : GAINS + n] = gains.K - (1.0 - parameters.sliding_mode.phi) * gains.S / gains.switching_gain
     packed[ROOT_GAIN] = k1
     packed[STEP] = k2 * seconds
@@ -204,17 +204,17 @@ class SuperTwisting(SlidingController):
         return packed_super_twisting(parameters, self.sample_time).copy()
 
     def forget(self) -> None:
-        """Reset the integrated state: errors while another law was active do not belong in this law's integral."""
+        """Reset the integrated state: errors during another law's operation do not belong in this law's integral."""
         self.x[TWIST] = 0.0
 
 
 def near_rest(parameters):
-    """Return the parameters of the implicit law, because the explicit one jumps at zero and cannot be linearised."""
+    """Return the parameters of the implicit law; the explicit law jumps at zero and cannot be linearised."""
     return replace(parameters, super_twisting=replace(parameters.super_twisting, discretisation="implicit"))
 
 
 def designed(task: DesignTask):
-    """Return the parameters with the slowest pole of the sliding motion chosen for the bandwidth.
+    """Return the parameters in which the slowest pole of the sliding motion gives the requested bandwidth.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def rows(parameters, sample_time: float):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Return the warning about the validity of this law's margins."""
+    """Return the warning about the range in which this law's margins are valid."""
     return ["the margins of super_twisting hold for small signals, where the switching function is below k2 T"]
 
 

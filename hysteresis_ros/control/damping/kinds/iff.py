@@ -13,16 +13,17 @@ u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
 The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. Between zeros and poles
 the integral of the force is in phase with the velocity, so it damps the poles. With a pure integrator the damping ratio
-is at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force, k_f y, and with it the
-displacement to zero. Therefore the integrator leaks at ω_c = α β, which is equivalent to a feedthrough β of the command
-into the force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the
-axis, and in the steady state the law's output is the command, γ = 1. Without the high-pass (ω_h = 0) the static force
-stays in the loop, and γ = 1 + k_f α/ω_c.
+is at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force k_f y, and thus the displacement, to
+zero. Therefore the integrator has a leak at ω_c = α β, which is equivalent to a feedthrough β from the command into the
+force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the axis, and
+in steady state the command is equal to the law's output, so γ = 1. Without the high-pass (ω_h = 0) the static force
+stays in the loop, so γ = 1 + k_f α/ω_c.
 
-The filter is discretised by the bilinear transformation, h = 2/T. It does not wind up: its poles are stable, and its
-input is measured even while the command is saturated.
+The filter is discretised by the bilinear transform with h = 2/T. It does not wind up, because its poles are stable and
+its input is measured even while the command is saturated.
 
-If the delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, α < 0.
+If the delay of the loop is more than about a quarter of the resonance's period, damping needs the opposite sign of the
+gain, α < 0.
 
 References
 ----------
@@ -64,13 +65,13 @@ class IffParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when the gain is 0."""
+        """Yield a Problem if the gain is 0."""
         if self.gain == 0.0:
             yield Problem("gain", self.gain, "must not be 0; `hysteresis design --damping iff` finds a gain")
 
 
 def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
-    """Return −α s/((s + ω_c)(s + ω_h)), from force to command."""
+    """Return −α s/((s + ω_c)(s + ω_h)), from the force to the command."""
     gain, leak, high = parameters.gain, parameters.leak, parameters.high_pass
     if not high:
         return first_order(-gain, leak, sample_time)
@@ -78,13 +79,13 @@ def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges of (α times stiffness over ω, both corners over ω), for both signs."""
+    """Return the search ranges, for both signs of α: of α times stiffness over ω, and of both corners over ω."""
     corner = (0.03, 3.0, True)
     return ((0.1, 10.0, True), corner), ((-10.0, -0.1, True), corner)
 
 
 def chosen(point, mode: Mode) -> IffParameters:
-    """Return the parameters of a point."""
+    """Return the parameters for a point of the search."""
     omega = 2.0 * math.pi * mode.frequency
     gain, corner = shortened(omega * point[0] / mode.force), shortened(omega * point[1])
     return IffParameters(gain=gain, leak=corner, high_pass=corner)

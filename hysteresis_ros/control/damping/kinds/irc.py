@@ -9,16 +9,16 @@
 
 """Integral resonant control: integral feedback around the plant with an added feedthrough [1]_, [2]_.
 
-With a feedthrough D_f the plant G + D_f has a zero below its first pole, and integral feedback of its output damps the
-resonances. For tracking, the references write the same loop as a controller of the displacement alone,
+With a feedthrough D_f, the plant G + D_f has a zero below its first pole, and integral feedback of the output of G +
+D_f damps the resonances. For tracking, [1]_ and [2]_ write the same loop as a controller of the displacement alone,
 
 C₂(s) = −k/(s − k D_f)
 
-which acts on r_c − y. Here the law's output w enters after C₂, at the command, with a weight γ that keeps the DC gain:
-u = γ w + k/(s − k D_f) y. So the path of the reference has a zero at s = k D_f.
+which acts on r_c − y. Here the output w of the law is added after C₂, to the command, with a weight γ that keeps the DC
+gain: u = γ w + k/(s − k D_f) y. Therefore the path from the reference has a zero at s = k D_f.
 
-If the delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, k < 0,
-with D_f > 0.
+If the delay of the loop is more than about a quarter of the resonance's period, damping needs the opposite sign of the
+gain, k < 0, with D_f > 0.
 
 References
 ----------
@@ -53,22 +53,23 @@ class IrcParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when the filter would be unstable."""
+        """Yield a Problem if the filter would be unstable."""
         if not self.k * self.feedthrough < 0.0:
             remedy = f"must not be 0, and must have the opposite sign of feedthrough = {self.feedthrough:g}"
             yield Problem("k", self.k, remedy + ", or the filter k/(s − k D_f) is unstable")
 
 
 def irc(parameters: IrcParameters, sample_time: float) -> StateSpace:
-    """Return k/(s − k D_f), from displacement to command."""
+    """Return k/(s − k D_f), from the displacement to the command."""
     return first_order(parameters.k, -parameters.k * parameters.feedthrough, sample_time)
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges of (DC gain of the feedback, corner of the filter [rad/s]), for both signs."""
+    """Return the search ranges of (DC gain of the feedback, corner of the filter [rad/s]), for both signs of gain."""
     omega = 2.0 * math.pi * mode.frequency
     corner = (0.05 * omega, 20.0 * omega, True)
-    # positive feedback of 0.4 of the plant's gain has a gain margin of 8 dB: required 6 dB plus a gain error of 25 %
+    # positive feedback with 0.4 times the plant's gain has a gain margin of 8 dB: the required 6 dB, and 25 % gain
+    # error
     return ((0.05, 0.4, True), corner), ((-2.0, -0.05, True), corner)
 
 

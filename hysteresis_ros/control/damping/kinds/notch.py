@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One to four notch filters after the law: the law does not excite the resonances, but does not damp them either.
+"""One to four notch filters after the law: the law does not excite the resonances, but it does not damp them either.
 
 N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
 
@@ -51,17 +51,17 @@ class NotchParameters(Parameters):
     width: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each denominator")
 
     def check(self):
-        """Yield a Problem for no filter, too many filters, or filters with missing numbers."""
+        """Yield a Problem if there is no filter, if there are too many, or if numbers of filters are missing."""
         yield from require_filters(self, MOST, ("damping", "width"))
 
 
 def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
-    """Return the filters in series, from the law's output to the command.
+    """Return the series of the filters, from the law's output to the command.
 
     Raises
     ------
     ParameterError
-        ``frequencies``: one is not below half the sample rate.
+        ``frequencies``: one of them is not below half the sample rate.
     """
     require_below_half_the_rate(parameters.frequencies, sample_time)
     found = []
@@ -74,7 +74,7 @@ def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges of (frequency [Hz], damping of the numerator, width)."""
+    """Return the search ranges of frequency [Hz], damping of the numerator, and width."""
     least = min(mode.damping, 0.5)
     frequency = (0.8 * mode.frequency, 1.25 * mode.frequency, True)
     return ((frequency, (least, 0.9, True), (0.1, 3.0, True)),)

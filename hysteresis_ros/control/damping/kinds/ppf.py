@@ -11,8 +11,9 @@
 
 u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
 
-The factor γ keeps the DC gain. Below its frequency a filter changes the stiffness; at its frequency it damps. If the
-delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, g < 0.
+The factor γ keeps the DC gain. Below its frequency, a filter changes the stiffness; at its frequency, it damps. If the
+delay of the loop is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, g
+< 0.
 
 References
 ----------
@@ -57,17 +58,17 @@ class PpfParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem for no filter, too many filters, or filters with missing numbers."""
+        """Yield a Problem if there is no filter, if there are too many, or if numbers of filters are missing."""
         yield from require_filters(self, MOST, ("damping", "gains"))
 
 
 def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
-    """Return the sum of the filters, from displacement to command.
+    """Return the sum of the filters, from the displacement to the command.
 
     Raises
     ------
     ParameterError
-        ``frequencies``: one is not below half the sample rate.
+        ``frequencies``: one of them is not below half the sample rate.
     """
     require_below_half_the_rate(parameters.frequencies, sample_time)
     found = []
