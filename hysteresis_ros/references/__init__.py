@@ -9,12 +9,12 @@
 
 """References: the desired position of an axis at each sample.
 
-Start with :mod:`.generator`, which adds a waveform of ``waveforms/`` (:mod:`.declaration`) to an :mod:`.approach` or a
-:mod:`.trajectory`. :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes` contains
-the excitations for identification; :mod:`.scan` and ``scans/`` contain paths of several axes over a plane.
+Start with :mod:`.generator`, which adds a waveform from ``waveforms/`` (:mod:`.declaration`) to an :mod:`.approach` or
+a :mod:`.trajectory`. :mod:`.inchworm_sequencer` converts the setpoints of an inchworm motor to steps; :mod:`.recipes`
+contains the excitations for identification; :mod:`.scan` and ``scans/`` contain paths of several axes over a plane.
 :mod:`.moves` determines when a motion has arrived or settled; :mod:`.triggers` computes the triggers.
 
-The package has a class for each waveform, whose constructor takes the parameters as keywords:
+The package has a class for each waveform; the constructor of the class takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
 """
 
@@ -41,10 +41,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> type[Reference]:
-    """Return the class of a waveform, which is imported on first use."""
+    """Return the class of a waveform; the class is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up the names of submodules here while it imports them
+    # Python also looks up the names of submodules here, while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.references.classes import CLASSES

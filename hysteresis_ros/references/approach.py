@@ -13,34 +13,35 @@ Structure (FIR trajectory filter; Biagiotti & Melchiorri, *FIR filters for onlin
 frequency-domain specifications*, Control Engineering Practice 20 (2012) 1385-1399): a slew limiter moves q towards the
 setpoint by at most d = V Ts per sample; two moving averages of N1 and N2 samples follow.
 
-**Bounds for every sequence of setpoints.** With Δq the increments of q, |Δq| ≤ d, and y the output:
+**Bounds for every sequence of setpoints.** Let Δq be the increments of q, |Δq| ≤ d, and y the output:
 
 * velocity: Δy is a mean of Δq, so |Δy|/Ts ≤ d/Ts ≤ V;
-* acceleration: one average turns Δ²q into (Δq_k − Δq_{k−N1})/N1, at most 2 d/N1, and the second average takes a mean
-  of that: |Δ²y|/Ts² ≤ 2 V/(N1 Ts) ≤ A for N1 ≥ 2 V/(A Ts);
+* acceleration: the first average turns Δ²q into (Δq_k − Δq_{k−N1})/N1, at most 2 d/N1, and the second one takes a mean
+  of this: |Δ²y|/Ts² ≤ 2 V/(N1 Ts) ≤ A for N1 ≥ 2 V/(A Ts);
 * jerk: Δ³y = (Δq_k − Δq_{k−N1} − Δq_{k−N2} + Δq_{k−N1−N2})/(N1 N2), so |Δ³y|/Ts³ ≤ 4 V/(N1 N2 Ts²) ≤ J for
   N2 ≥ 4 V/(N1 J Ts²).
 
 A reversal at full speed needs the factors 2 and 4; motions from rest to rest would only need 1 and 2.
 
-**Overshoot.** y is a weighted mean of past values of q with weights ≥ 0, and q never passes the setpoint. So from rest
-y moves monotonically to the setpoint and never leaves the interval spanned by the setpoints received since it was last
-at rest. If a new setpoint is nearer, or on the other side, the motion in progress may pass it (in general no bounded
-deceleration can avoid that), but y stays within that interval.
+**Overshoot.** y is a weighted mean of past values of q with weights ≥ 0, and q never passes the setpoint. Therefore y
+moves monotonically from rest to the setpoint, and never leaves the interval spanned by the setpoints that were received
+since y was last at rest. If a new setpoint is nearer, or on the other side, the motion in progress may pass it (in
+general, no bounded deceleration can avoid this), but y stays within that interval.
 
 **Exact arrival.** A distance D takes ceil(D/d) + N1 + N2 − 2 samples, and then y *is* the setpoint, bit for bit. The
-filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position) held in float64, and
-running sums are stored in two words below 2⁵³. Every addition is exact, so the sums never drift, and the last step from
-the grid to the setpoint is no larger than about the float64 rounding of the position.
+filter works with whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position), stored as
+float64; running sums are stored in two words below 2⁵³. Every addition is exact, so the sums never drift, and the last
+step from the grid to the setpoint is no larger than about the float64 rounding of the position.
 
 **A limit of zero is free.** If a limit is 0 and the limit of a higher derivative is not, the limit of 0 is replaced by
-the value with which the full stroke R takes the least time: R/V + 2 V/A + 2 A/J is least where the free terms are
-equal. With all three limits 0 the output is the setpoint.
+the value with which the full stroke R takes the least time. This time, R/V + 2 V/A + 2 A/J, is least where the terms
+with free limits are equal. If all three limits are 0, the output is the setpoint.
 
-ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode, z =
-exp((−ζ ω + i ω √(1 − ζ²)) T), and the sum 1: three equations for three taps. In continuous time ZV has the two
-impulses of [1]_; rounded to samples, these would leave a residual vibration. ZVD is ZV applied twice. It has a double
-zero, so the residual vibration is of second order in the error of the frequency.
+The shaper ZV is a filter with three taps, at 0 and at the samples m and m + 1 around half a period. It has a zero at
+the pole of the mode, z = exp((−ζ ω + i ω √(1 − ζ²)) T), and its taps have the sum 1: these are three equations for
+three taps. In continuous time, ZV has the two impulses of [1]_; if they were rounded to samples, a vibration would
+remain. ZVD is ZV applied twice. It has a double zero, so the residual vibration is of second order in the error of the
+frequency.
 
 References
 ----------
@@ -61,11 +62,11 @@ from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import Block, called, kernel
 from hysteresis_ros.models.linear_algebra import solve
 
-#: Parameters: WEIGHT = N1 N2, SPLIT = size of the lower word; setpoints outside LOW … HIGH are ignored.
+#: Parameters: WEIGHT = N1 N2; SPLIT: size of the lower word; setpoints outside LOW … HIGH are ignored.
 QUANTUM, STEP, WINDOW1, WINDOW2, WEIGHT, SPLIT, LOW, HIGH = range(8)
 
-#: State: WHOLE + REST/WEIGHT is the output in quanta, SLEWED the output of the slew limiter. The sums of the windows
-#: have an upper and a lower word. The ring buffers of N1 increments and 2 × N2 sums follow.
+#: State: WHOLE + REST/WEIGHT is the output in quanta, SLEWED the output of the slew limiter. Each sum of a window has
+#: an upper and a lower word. The ring buffers of N1 increments and 2 × N2 sums follow.
 SETPOINT, SLEWED, WHOLE, REST, SUM1_UPPER, SUM1_LOWER, SUM2_UPPER, SUM2_LOWER, INDEX1, INDEX2, ARRIVED = range(11)
 RINGS = 11
 
@@ -113,7 +114,7 @@ class ApproachParameters(Parameters):
 
 
 def effective_limits(parameters: ApproachParameters, stroke: float) -> tuple[float, float, float]:
-    """Return velocity [m/s], acceleration [m/s²] and jerk [m/s³] used for a ``stroke`` [m]; inf where unlimited."""
+    """Return the velocity [m/s], acceleration [m/s²] and jerk [m/s³] that a ``stroke`` [m] uses; inf if unlimited."""
     velocity = parameters.maximum_velocity or math.inf
     acceleration = parameters.maximum_acceleration or math.inf
     jerk = parameters.maximum_jerk or math.inf
@@ -130,7 +131,7 @@ def effective_limits(parameters: ApproachParameters, stroke: float) -> tuple[flo
 
 @kernel
 def quotient(a, m):
-    """Return the floor of a/m for whole numbers below 2⁵³, without the rounding error of a division."""
+    """Return the floor of a/m for whole numbers below 2⁵³, exact in spite of the rounding of a division."""
     n = math.floor(a / m)
     rest = a - n * m
     if rest < 0.0:
@@ -167,7 +168,7 @@ def approach(p, x, u):
     x[j + n2] = x[SUM1_LOWER]
     x[INDEX2] = i2 + 1.0 if i2 + 1 < n2 else 0.0
 
-    # Output += second sum/WEIGHT, with the remainder kept: the upper word first, its remainder with the lower word.
+    # output += second sum/WEIGHT, with the remainder kept: first the upper word, then its remainder with the lower word
     weight = p[WEIGHT]
     n = quotient(x[SUM2_UPPER], weight)
     lower = (x[SUM2_UPPER] - n * weight) * p[SPLIT] + x[SUM2_LOWER] + x[REST]
@@ -200,7 +201,7 @@ class Approach(Block):
     sample_time : float
         Sample time [s].
     minimum, maximum : float
-        Range of the reference [m]. It determines the quantum of the arithmetic and, for limits of 0, the stroke.
+        Range of the reference [m]. It determines the quantum of the arithmetic and, if limits are 0, the stroke.
     initial_setpoint : float
         Initial position [m], at rest.
 
@@ -223,7 +224,7 @@ class Approach(Block):
         """Return the kernel's parameters; their layout is at the top of the module."""
         low, high = self._range
         velocity, acceleration, jerk = effective_limits(parameters, high - low)
-        # four times the range, because at a start setpoint and waveform may each be outside of it
+        # four times the range, because at a start setpoint and waveform may each be outside the range
         exponent = math.frexp(max(abs(low), abs(high)))[1] + 2
         quantum = math.ldexp(1.0, exponent - 52)
         step = 2.0**52
@@ -253,16 +254,16 @@ class Approach(Block):
         return x
 
     def rest_at(self, position: float) -> None:
-        """Stop at ``position`` [m] with velocity zero; the setpoint is kept."""
+        """Stop at ``position`` [m] with velocity zero; the setpoint stays."""
         rest(self.p, self.x, position, self.x[SETPOINT])
 
     def duration(self, distance: float) -> float:
-        """Return the time [s] from rest to the exact arrival at a new setpoint at ``distance`` [m]."""
+        """Return the time [s] from rest to the exact arrival at a new setpoint at a ``distance`` [m]."""
         moving = max(math.ceil(abs(distance) / (self.p[STEP] * self.p[QUANTUM])), 1)
         return (moving + self.p[WINDOW1] + self.p[WINDOW2] - 2.0) * self.sample_time
 
     def retune(self, parameters) -> None:
-        """Refuse a change: the window sizes determine the state, so an approach cannot change after construction.
+        """Refuse a change: the sizes of the windows determine the state, so an approach is fixed after construction.
 
         Raises
         ------
@@ -274,19 +275,19 @@ class Approach(Block):
             raise ParameterError([Problem("approach", parameters.to_mapping(), text)])
 
 
-#: Number of times that each type applies the filter.
+#: How often each type applies the filter.
 TYPES = {"none": 0, "zv": 1, "zvd": 2}
-#: Number of stored positions: the longest delay of a tap is one less.
+#: Number of stored positions; the longest delay of a tap is one sample less.
 RING = 4096
-#: Maximum number of taps, not counting the first.
+#: Maximum number of taps in addition to the first.
 MOST = 5
 
-# Parameters: number of taps without the first, then the delay [samples] and the weight of each tap.
+# Parameters: number of taps in addition to the first, then delay [samples] and weight of each of them.
 TAPS = 0
 FIRST = 1
 PARAMETERS = FIRST + 2 * MOST
 
-# State: 1.0 while running (0.0: the next call starts at rest at REST_AT), index of the newest position, then the ring.
+# State: 1.0 while running (0.0: the next call starts at rest at REST_AT); index of the newest position; then the ring.
 STARTED, NEWEST, REST_AT = range(3)
 POSITIONS = 3
 
@@ -310,7 +311,7 @@ class ShapingParameters(Parameters):
     damping: float = parameter(0.0, low=0.0, high=0.9, description="damping ratio of that mode")
 
     def check(self):
-        """Yield a Problem when the frequency is missing."""
+        """Yield a Problem if the frequency is missing."""
         if self.type != "none" and not self.frequency > 0.0:
             yield Problem(
                 "frequency",
@@ -320,10 +321,10 @@ class ShapingParameters(Parameters):
 
 
 def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.ndarray:
-    """Return the filter of ZV, shape (m + 2,); only the first and the last two weights are not 0.
+    """Return the weights of the filter ZV, shape (m + 2,); only the first and the last two of them are not 0.
 
-    Units: ``frequency`` [Hz], ``sample_time`` [s]; the damping is below 1. ParameterError about ``shaping.frequency``:
-    not below half the sample rate, or too low for the stored positions.
+    Units: ``frequency`` [Hz], ``sample_time`` [s]; the damping must be below 1. ParameterError about
+    ``shaping.frequency``: it is not below half the sample rate, or too low for the number of stored positions.
     """
     omega = 2.0 * math.pi * frequency * math.sqrt(1.0 - damping * damping)
     half = math.pi / (omega * sample_time)
@@ -332,7 +333,7 @@ def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.n
         remedy = f"must be within {lowest:.4g} … {0.5 / sample_time:g} Hz, half the sample rate"
         raise ParameterError([Problem("shaping.frequency", frequency, remedy)])
     places = (0, math.floor(half), math.floor(half) + 1)
-    # a zero at z = exp(pole T): Σ h exp(−pole T place) = 0
+    # a zero at z = exp(pole T) requires Σ h exp(−pole T place) = 0
     rows = [[1.0, 1.0, 1.0], [], []]
     for place in places:
         grown = elementary.exp(2.0 * math.pi * frequency * damping * sample_time * place)
@@ -365,7 +366,8 @@ def shaped(p, x, position):
         place = newest - int(p[FIRST + 2 * i])
         if place < 0:
             place += RING
-        # at rest the output is exactly the position, although the rounded weights may not add up to one
+        # differences from the position: at rest, the output is exactly the position even if rounded weights do not sum
+        # to 1
         found += p[FIRST + 2 * i + 1] * (x[POSITIONS + place] - position)
     return found
 

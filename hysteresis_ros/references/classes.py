@@ -19,7 +19,7 @@ from hysteresis_ros.registry import block_class, class_name
 
 
 class Reference(Waveform):  # numpydoc ignore=PR02
-    """A waveform with a counter of its samples; base of the classes in ``hr.references``.
+    """A waveform that counts its samples; base class of the classes in ``hr.references``.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Reference(Waveform):  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            The waveform has no end and no number was given, or the number is negative.
+            The waveform has no end and no number is given, or the number is negative.
         """
         if count is None:
             count = self.duration_samples
@@ -72,5 +72,5 @@ def _made(kind: str) -> type[Reference]:
     )
 
 
-#: The classes by name.
+#: The classes, by name.
 CLASSES: dict[str, type[Reference]] = {class_name(kind): _made(kind) for kind in WAVEFORMS}

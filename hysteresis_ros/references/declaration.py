@@ -7,10 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Declaration of a waveform, and its position within the cycle.
+"""Declaration of a waveform, and the computation of its position within the cycle.
 
-The state ``x`` is the sample counter k (exact up to 2⁵³). The position within the cycle is not accumulated. ``frequency
-· sample_time`` is written once as a fraction a/b, b ≤ 2²⁶, plus a residual d, and the position is
+The state ``x`` is the sample counter k (exact up to 2⁵³). The position within the cycle is not accumulated from sample
+to sample. Instead, ``frequency · sample_time`` is expressed once as a fraction a/b with b ≤ 2²⁶, plus a residual d, and
+the position is
 
     frac( ((k mod b) · a mod b) / b + k · d + phase / 2π ).
 
@@ -37,21 +38,21 @@ from hysteresis_ros.models.block import kernel
 #: State.
 COUNTER = 0
 
-#: Parameters common to all waveforms: END is the sample from which FINAL is held (0 = endless).
+#: Parameters common to all waveforms: END is the sample from which on FINAL is held (0: there is no end).
 OFFSET, AMPLITUDE, NUMERATOR, DENOMINATOR, RESIDUAL, PHASE, END, FINAL = range(8)
-#: Index of the first own parameter of each waveform.
+#: Index of the first parameter that only one waveform uses.
 OWN = 8
-#: First own parameter of waveforms with a polarity: 1: rises from the offset; 0: symmetric about the offset.
+#: First such parameter of waveforms with a polarity: 1: rises from the offset; 0: symmetric about the offset.
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi
-#: Tolerance [cycles] within which an edge of square or staircase belongs to a sample, in spite of rounding.
+#: Tolerance [cycles] with which an edge of square or staircase still belongs to a sample, because of rounding.
 EDGE = 1e-9
 LARGEST_DENOMINATOR = 2**26
 
 
 def cycles_per_sample(frequency: float | Fraction, sample_time: float) -> tuple[int, int, float]:
-    """Return (a, b, d) with ``frequency · sample_time`` = a/b + d, by the rule at the top of this module."""
+    """Return (a, b, d) with ``frequency · sample_time`` = a/b + d, as described at the top of this module."""
     exact = Fraction(frequency) * Fraction(sample_time)
     fraction = exact.limit_denominator(LARGEST_DENOMINATOR)
     residual = exact - fraction
@@ -81,7 +82,7 @@ def whole_turns(p, k):
 
 @kernel
 def triangle_shape(position, unipolar):
-    """Return a triangle of height 1: 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric), ``position`` in [0, 1)."""
+    """Return a triangle of height 1 at ``position`` in [0, 1): 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric)."""
     if unipolar > 0.0:
         return 2.0 * position if position < 0.5 else 2.0 - 2.0 * position
     if position < 0.25:
@@ -95,7 +96,7 @@ PREFIX = "waveform."
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """A waveform for one set of parameters.
+    """A waveform, prepared for one set of parameters.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ class Packed:
     period : int or None
         Number of samples after which the output repeats bit for bit; None if there is no such number.
     crest_factor : float or None
-        Peak over root mean square, without the offset; None if unknown.
+        Peak divided by root mean square, without the offset; None if unknown.
     edges : ndarray, optional
         Scan edges of each sample as bits (:meth:`.ScanClock.edges`); a single 0: no scan.
     """
@@ -139,10 +140,10 @@ class WaveformShape:
     name : str
         ``type`` of the waveform.
     pack : callable
-        ``pack(parameters, sample_time)`` returns :class:`Packed` for WaveformParameters; :func:`cyclic` makes ``pack``
-        from a kernel.
+        ``pack(parameters, sample_time)`` returns a :class:`Packed` for WaveformParameters; :func:`cyclic` makes such a
+        function from a kernel.
     parameters : type of Parameters, optional
-        Own parameters, in a group with the waveform's name.
+        Parameters of this waveform only, in a group with the waveform's name.
     takes_frequency, takes_phase, takes_polarity : bool, optional
         Whether the waveform uses these shared parameters.
     check : callable, optional
@@ -150,18 +151,18 @@ class WaveformShape:
     extent : str, optional
         Name of the parameter that determines the amplitude.
     periodic : bool, optional
-        Whether the waveform has a single frequency, which is compared with the bandwidth of the axis; False for
+        Whether the waveform has a single frequency that is to be compared with the bandwidth of the axis; False for
         experiments (chirp, multisine).
     fundamental : callable, optional
-        ``fundamental(parameters)`` returns the amplitude of the fundamental relative to half the height; None for
-        waveforms with jumps, which are treated as steps.
+        ``fundamental(parameters)`` returns the amplitude of the fundamental divided by half the height of the waveform;
+        None for waveforms with jumps, which are treated as steps.
     jumps : bool, optional
-        Whether the waveform jumps from one level to another; with ``approach.steps`` jumps keep the limits of the
+        Whether the waveform jumps from one level to another; with ``approach.steps``, jumps keep the limits of the
         approach.
     duration : callable, optional
-        ``duration(p)`` returns its length in samples, 0 when it has no end.
+        ``duration(p)`` returns the length of the waveform in samples, 0 if it has no end.
     example : Parameters, optional
-        Own parameters of an example; needed where parameters are required.
+        Parameters of this waveform for an example; needed if they have no defaults.
     """
 
     name: str
@@ -185,7 +186,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
     Raises
     ------
     ParameterError
-        Always, with the name of the parameter, its value and what is allowed.
+        Always; it contains the name of the parameter, its value and what is allowed.
     """
     raise ParameterError([Problem(PREFIX + name, value, remedy)])
 
@@ -198,7 +199,7 @@ def head(parameters) -> np.ndarray:
 
 
 def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
-    """Write the end and the conversion from counter to position into ``p``; return the samples per repetition.
+    """Write the end, and the numbers for the position in the cycle, into ``p``; return the samples of a repetition.
 
     Parameters
     ----------
@@ -228,34 +229,34 @@ def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tupl
 
 
 def turns_of(phase: float) -> float:
-    """Return a phase [rad] in turns, in [0, 1)."""
+    """Return a phase, given in rad, as a fraction of a turn in [0, 1)."""
     turns = phase / TWO_PI
     return (turns - math.floor(turns)) % 1.0
 
 
 def first_value(kernel, p) -> float:
-    """Return the output of an endless waveform at its first sample [m]."""
+    """Return the first sample of a waveform [m], as if it had no end."""
     endless = p.copy()
     endless[END] = 0.0
     return kernel(endless, np.zeros(1), 0.0)
 
 
 def cyclic(kernel, own=None, final=None, polarity: bool = False, repeats: bool = True):
-    """Return the ``pack`` of a waveform whose kernel computes one cycle of offset ± amplitude from the position.
+    """Return the ``pack`` of a waveform; its kernel computes a cycle of offset ± amplitude from the position in it.
 
     Parameters
     ----------
     kernel : callable
     own : callable, optional
-        ``own(parameters, sample_time)`` returns the waveform's own numbers for ``p``; they follow the polarity, if it
-        has one.
+        ``own(parameters, sample_time)`` returns the numbers in ``p`` that only this waveform has; they follow the
+        polarity, if there is one.
     final : callable, optional
-        ``final(parameters, p)`` returns the value held after the last cycle; by default the first value of the next
-        cycle.
+        ``final(parameters, p)`` returns the value that is held after the last cycle; by default the first value of the
+        next cycle.
     polarity : bool
-        Whether it has the parameter ``polarity``.
+        Whether the waveform has the parameter ``polarity``.
     repeats : bool
-        Whether every cycle is equal to the previous one.
+        Whether all cycles are equal.
     """
 
     def pack(parameters, sample_time: float) -> Packed:

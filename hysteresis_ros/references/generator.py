@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference generator: the sum of an approach to the setpoint, or a trajectory, and a waveform, within a range.
+"""Reference generator: sum of a waveform and an approach to the setpoint (or a trajectory), limited to a range.
 
-With ``approach.steps`` the jumps of a waveform pass through a second approach with the same limits. Setpoint and
-waveform may move at the same time; their sum then moves up to twice as fast.
+With ``approach.steps``, the jumps of a waveform pass through a second approach with the same limits. If setpoint and
+waveform move at the same time, their sum moves up to twice as fast.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ from hysteresis_ros.references.trajectory import (
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import micrometres, readable
 
-#: Parameters and state of the range: FADE is the difference between the held reference and the setpoint at a start with
-#: an unlimited approach. It fades out over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes through an
+#: Parameters and state of the range. At a start with an unlimited approach, FADE is the difference between the held
+#: reference and the setpoint; it fades out over FADE_SAMPLES. SMOOTHED is 1 if a waveform with jumps passes through an
 #: approach.
 MINIMUM, MAXIMUM, FADE_SAMPLES, SMOOTHED = range(4)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
-#: Values of RUNNING: the reference is held; waveform and moves run; only moves run, and the waveform waits for its
-#: start.
+#: Values of RUNNING. HELD: the reference is held; WHOLE: waveform and moves run; MOVES: only moves run, and the
+#: waveform waits for its start.
 HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
-#: Largest number of samples in which steps are compared with the duration of an approach.
+#: Largest number of samples in which the steps of a waveform are compared with the duration of an approach.
 MOST_SAMPLES = 200_000
 
 
@@ -79,7 +79,7 @@ class ReferenceParameters(Parameters):
     trajectory: TrajectoryParameters = group(TrajectoryParameters)
 
     def check(self):
-        """Yield a Problem when the range is empty or does not contain the initial setpoint."""
+        """Yield a Problem if the range is empty or does not contain the initial setpoint."""
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
         elif not self.minimum <= self.initial_setpoint <= self.maximum:
@@ -100,9 +100,9 @@ class GeneratorArrays(NamedTuple):
 
 @nested
 def base(ps, xs, setpoint):
-    """Return the position [m] of the approach or of a trajectory at this sample, without the waveform.
+    """Return the position [m] of the approach or of the trajectory at this sample, without the waveform.
 
-    After a trajectory the axis keeps its position until a different setpoint is received.
+    After a trajectory, the axis keeps its position until a different setpoint is received.
     """
     p, x = ps.trajectory, xs.trajectory
     is_new = setpoint != x[following.GIVEN] and setpoint != x[following.TARGET]
@@ -134,7 +134,7 @@ def base(ps, xs, setpoint):
 
 @nested
 def setpoint_in_force(xs, setpoint):
-    """Return the valid setpoint [m]; the end of a trajectory replaces the previous setpoint."""
+    """Return the setpoint in force [m]; the end of a trajectory replaces the previous setpoint."""
     x = xs.trajectory
     target, after = x[following.TARGET], x[following.AFTER]
     if x[following.ACTIVE] != following.IDLE and after < following.NOWHERE:
@@ -144,7 +144,7 @@ def setpoint_in_force(xs, setpoint):
 
 @nested
 def abandon(ps, xs):
-    """Abort a trajectory and stay at its present position."""
+    """Abort the trajectory and stay at the present position."""
     x = xs.trajectory
     if x[following.ACTIVE] != following.IDLE:
         if x[following.ACTIVE] == following.FOLLOWING:
@@ -157,9 +157,9 @@ def abandon(ps, xs):
 
 @nested
 def reference_step(waveform, ps, xs, setpoint):
-    """Return the reference [m] of this sample: approach or trajectory + waveform, clipped to minimum … maximum.
+    """Return the reference [m] of this sample: approach or trajectory, plus waveform, clipped to minimum … maximum.
 
-    ``ps``, ``xs`` are :class:`GeneratorArrays`. While stopped, reference and states do not change.
+    ``ps``, ``xs`` are :class:`GeneratorArrays`. While the generator is stopped, reference and states do not change.
     """
     p, x = ps.range, xs.range
     if x[RUNNING] == HELD:
@@ -171,7 +171,7 @@ def reference_step(waveform, ps, xs, setpoint):
             added = approach(ps.steps, xs.steps, added)
         reference += added
     if x[FADE_COUNT] < p[FADE_SAMPLES]:
-        # Minimum-jerk blend 1 → 0.
+        # minimum-jerk blend 1 → 0
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
         reference += x[FADE] * (1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0)))
         x[FADE_COUNT] += 1.0
@@ -192,7 +192,7 @@ def begin_waveform(waveform, ps, xs):
     rest(ps.steps, xs.steps, first, xs.steps[SETPOINT])
     position, x[FADE], x[FADE_COUNT] = x[OUTPUT] - first, 0.0, 0.0
     setpoint = xs.approach[SETPOINT]
-    if ps.trajectory[following.SMOOTH] == 0.0:  # unlimited: the difference to the setpoint fades out
+    if ps.trajectory[following.SMOOTH] == 0.0:  # unlimited: the difference from the setpoint fades out
         x[FADE] = position - setpoint
         rest(ps.approach, xs.approach, setpoint, setpoint)
     else:
@@ -204,13 +204,13 @@ def begin_waveform(waveform, ps, xs):
 
 @composite("void", "kernel", GeneratorArrays, GeneratorArrays, "array", "array")
 def run_reference(waveform, ps, xs, setpoints, references):
-    """Fill ``references[k]`` for all ``setpoints[k]``."""
+    """Set ``references[k]`` for the setpoint of every sample k."""
     for k in range(setpoints.shape[0]):
         references[k] = reference_step(waveform, ps, xs, setpoints[k])
 
 
 class ReferenceGenerator(Chain):
-    """Generate the reference from setpoints and a waveform. It runs from construction on.
+    """Generator of the reference from setpoints and a waveform. It runs from construction on.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ class ReferenceGenerator(Chain):
     def _adopt(self) -> None:
         """Connect the present waveform."""
         low, high = self.parameters.minimum, self.parameters.maximum
-        # so that the sum of setpoint and waveform stays within the range
+        # the sum of setpoint and waveform must stay within the range
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
@@ -290,7 +290,7 @@ class ReferenceGenerator(Chain):
 
     @property
     def running(self) -> bool:
-        """False while :meth:`stop` holds the reference."""
+        """Whether the generator runs; False while :meth:`stop` holds the reference."""
         return bool(self._range[1][RUNNING])
 
     @property
@@ -307,18 +307,18 @@ class ReferenceGenerator(Chain):
         return float(self.approach.x[SETPOINT])
 
     def step(self, setpoint: float) -> float:
-        """Return the reference [m] of this sample; a refused setpoint changes nothing."""
+        """Return the reference [m] of this sample; a setpoint that is refused changes nothing."""
         return interpreted(reference_step)(self.waveform_kernel, self.ps, self.xs, float(setpoint))
 
     def simulate(self, setpoints) -> np.ndarray:
-        """Return the references [m], shape (N,), for the setpoints [m] of each sample, shape (N,)."""
+        """Return the reference [m] of each sample for the setpoint [m] of each sample, both of shape (N,)."""
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
         references = np.empty_like(setpoints)
         compiled(run_reference)(self.waveform_kernel, self.ps, self.xs, setpoints, references)
         return references
 
     def refuse(self, setpoint: float) -> str | None:
-        """Return why a setpoint [m] is refused, with value and range; None when it is accepted."""
+        """Return why a setpoint [m] is refused, with its value and the range; None if it is accepted."""
         low, high = self.approach.p[LOW], self.approach.p[HIGH]
         if low <= setpoint <= high:
             return None
@@ -331,7 +331,7 @@ class ReferenceGenerator(Chain):
 
     @property
     def waits(self) -> bool:
-        """Whether the waveform waits for its start while setpoints and trajectories move the reference."""
+        """Whether the waveform still waits for its start; setpoints and trajectories move the reference meanwhile."""
         return bool(self._range[1][RUNNING] == MOVES)
 
     @property
@@ -340,7 +340,7 @@ class ReferenceGenerator(Chain):
         return bool(self.xs.trajectory[following.TARGET] == self._begun)
 
     def unreached_level(self) -> Problem | None:
-        """Return a Problem if the limits of the approach keep a step of the waveform from its level before the next."""
+        """Return a Problem if the limits of the approach do not let a step of the waveform reach its level in time."""
         own, shape = self.parameters, self.parameters.waveform.shape
         if not shape.jumps or not own.approach.steps or own.approach.unlimited:
             return None
@@ -348,7 +348,7 @@ class ReferenceGenerator(Chain):
         samples = waveform.period or waveform.duration_samples
         if not samples and shape.takes_frequency:
             samples = round(1.0 / (own.waveform.frequency * self.sample_time))
-        # with a second period, because the first step of a period is from the last level of the one before
+        # two periods, because the first step of a period begins at the last level of the previous period
         levels = waveform.simulate(np.zeros(min(2 * samples, MOST_SAMPLES)))
         starts = np.flatnonzero(np.diff(levels)) + 1
         if starts.size < 2:
@@ -368,7 +368,7 @@ class ReferenceGenerator(Chain):
         return Problem(f"waveform.{name}", own.waveform.to_mapping()[name], remedy)
 
     def begin_at(self, position: float) -> None:
-        """Begin at rest at the axis' position [m], clipped to the range; the waveform waits for :meth:`start`."""
+        """Begin at rest at the axis' position [m], clipped to the range; the waveform then waits for :meth:`start`."""
         position = min(max(position, self.parameters.minimum), self.parameters.maximum)
         self.reset()
         rest(self.approach.p, self.approach.x, position, position)
@@ -381,7 +381,8 @@ class ReferenceGenerator(Chain):
     def wait_for_start(self) -> None:
         """Begin at rest at the initial setpoint, and let the waveform wait for :meth:`start`.
 
-        With ``approach.from_rest`` it begins where :meth:`reset` begins, and moves to the initial setpoint meanwhile.
+        With ``approach.from_rest``, it begins where :meth:`reset` begins, and moves to the initial setpoint while it
+        waits.
         """
         setpoint = self.parameters.initial_setpoint
         self.begin_at(setpoint)
@@ -394,7 +395,7 @@ class ReferenceGenerator(Chain):
         rest(self.approach.p, self.approach.x, position, setpoint)
         self.shaper.rest_at(position)
         self.xs.trajectory[following.POSITION] = position
-        # a motion to the setpoint, and not an axis that waits for its first request
+        # this is a motion to the setpoint, and not an axis that waits for its first request
         self.xs.trajectory[following.TARGET] = following.NOWHERE
 
     def stop(self) -> None:
@@ -403,10 +404,10 @@ class ReferenceGenerator(Chain):
         interpreted(abandon)(self.ps, self.xs)
 
     def follow(self, times, positions, velocities=(), accelerations=()) -> None:
-        """Follow a trajectory from the next sample on, instead of the present motion.
+        """Follow a trajectory from the next sample on, in place of the present motion.
 
-        Its end becomes the setpoint. Positions alone are joined by lines, positions and velocities by cubics, all three
-        by quintics.
+        The end of the trajectory becomes the setpoint. Positions alone are connected by lines, positions and velocities
+        by cubics, positions, velocities and accelerations by quintics.
 
         Parameters
         ----------
@@ -421,7 +422,7 @@ class ReferenceGenerator(Chain):
         ------
         ParameterError
             The generator is stopped, the points are not a trajectory, or the path exceeds the range or the limits of
-            the approach (velocity, acceleration); nothing is changed then.
+            the approach (velocity, acceleration). Nothing is changed then.
         """
         if not self.running:
             text = "refused, because the generator is stopped; call start"
@@ -444,27 +445,27 @@ class ReferenceGenerator(Chain):
 
     @property
     def start_tolerance(self) -> float:
-        """Largest allowed distance between a first point at time 0 and the position of the axis [m]."""
+        """Largest allowed distance between a first point at time 0 and the axis' position [m]."""
         own = self.parameters
         return own.trajectory.start_tolerance or 0.01 * (own.maximum - own.minimum)
 
     def hold(self) -> None:
-        """Bring the present motion to rest from the next sample on, and stay at rest; the waveform continues."""
+        """Bring the present motion to rest, from the next sample on, and stay at rest; the waveform continues."""
         interpreted(brake)(self.ps.trajectory, self.xs.trajectory, following.NOWHERE, following.HELD)
 
     @property
     def trajectory(self) -> tuple[int, int]:
-        """Number of the last trajectory, counted from 1, and how it ended (a code of ``trajectory``)."""
+        """Number of the last trajectory, counted from 1, and its outcome (a code of ``trajectory``)."""
         x = self.xs.trajectory
         return int(x[following.NUMBER]), int(x[following.OUTCOME])
 
     def start(self) -> None:
         """Run the waveform from its beginning, without a jump of the reference.
 
-        The approach begins at rest at the position whose sum with the waveform's first sample is the held reference,
-        and moves to the setpoint within its limits. Steps that pass through an approach begin the same way. An
-        unlimited approach jumps to the setpoint instead, and the difference fades out over ``approach.start_time``. If
-        no setpoint was received since :meth:`begin_at`, the setpoint is the initial one.
+        The approach begins at rest at the held reference minus the waveform's first sample, so that their sum does not
+        jump, and moves to the setpoint within its limits. Steps of a waveform that pass through an approach begin in
+        the same way. An unlimited approach jumps to the setpoint instead, and the difference fades out over
+        ``approach.start_time``. If no setpoint was received since :meth:`begin_at`, the initial setpoint is used.
         """
         if self.unasked:
             self.approach.x[SETPOINT] = self.parameters.initial_setpoint
@@ -476,14 +477,14 @@ class ReferenceGenerator(Chain):
 
     @property
     def _resting_position(self) -> float:
-        """Position at which an axis rests [m]: 0, or the end of the range that is closest to it."""
+        """Position at which an axis rests [m]: 0, or the end of the range that is nearest to 0."""
         return min(max(0.0, self.parameters.minimum), self.parameters.maximum)
 
     def reset(self) -> None:
-        """Return to the state at construction: waveform at its beginning, at rest at the initial setpoint.
+        """Return to the state after construction: waveform at its beginning, axis at rest at the initial setpoint.
 
-        With ``approach.from_rest`` the motion to the initial setpoint begins at 0 m, or at the end of the range that is
-        closest to it.
+        With ``approach.from_rest``, the motion to the initial setpoint begins at 0 m, or at the end of the range that
+        is nearest to 0 m.
         """
         self._begun = math.nan
         self.approach.reset()
@@ -492,7 +493,7 @@ class ReferenceGenerator(Chain):
         number = self.xs.trajectory[following.NUMBER]
         self.xs.trajectory[:] = following.initial_state(self.parameters.initial_setpoint)
         self.xs.trajectory[following.NUMBER], self.xs.trajectory[following.OUTCOME] = number, following.STOPPED
-        # steps that pass through an approach begin where the axis rests
+        # steps of a waveform that pass through an approach begin where the axis rests
         self._steps.rest_at(0.0)
         waveform = 0.0 if self._range[0][SMOOTHED] else self._first_value()
         first = self.parameters.initial_setpoint + waveform
@@ -503,13 +504,13 @@ class ReferenceGenerator(Chain):
             interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def retune(self, parameters: ReferenceParameters) -> None:
-        """Change the waveform while the generator is stopped, or the shaping while the reference is constant.
+        """Change the waveform while the generator is stopped, or the input shaping while the reference is constant.
 
         Raises
         ------
         ParameterError
-            The generator runs (for the shaping: moves), the new parameters are wrong, or another parameter differs;
-            nothing is changed then.
+            The generator runs (a change of the shaping: the reference moves), the new parameters are wrong, or another
+            parameter differs. Nothing is changed then.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()

@@ -18,15 +18,16 @@ and the front one open the slider stands still, and the extender *returns*. One 
 In forward motion the extender extends while it carries and contracts while it returns; in backward motion it does the
 reverse. Extension profiles are cycloidal, e(s) = s − sin(2 π s)/(2 π): velocity and acceleration are zero at both ends.
 
-Deviations from the path that repeat in every cycle (residual hysteresis, motion of the slider as a clamp closes, a
-wrong step length) depend on the phase of the cycle and hardly on its speed. A correction as a function of the phase,
-learned at one speed, is therefore valid at other speeds [1]_.
+Some deviations from the path repeat in every cycle: residual hysteresis, motion of the slider as a clamp closes, a
+wrong step length. They depend on the phase of the cycle and hardly on its speed. A correction as a function of the
+phase, learned at one speed, is therefore valid at other speeds [1]_.
 
-Let θ be the coefficients of a periodic cubic spline, and e the mean error of the slider in each bin of the phase. A
+Let θ be the coefficients of a periodic cubic spline, and e the mean error of the slider in each bin of the phase. Each
 cycle changes θ by γ (L e − K θ) with L = (MᵀM + S + W)⁻¹ Mᵀ and K = (MᵀM + S + W)⁻¹ W, the norm-optimal update of
-iterative learning [2]_. M is the motion of the slider per coefficient: the slider follows the extender while the front
-clamp is closed and the rear one open, and keeps its position when the rear clamp closes. S weighs the change of θ. W
-weighs the curvature of the correction, which therefore stays smooth where the error does not determine it.
+iterative learning [2]_. M is the motion of the slider divided by the coefficient that causes it: the slider follows the
+extender while the front clamp is closed and the rear one open, and keeps its position when the rear clamp closes. S is
+the weight of the change of θ. W is the weight of the curvature of the correction, so that the correction stays smooth
+where the error does not determine it.
 
 References
 ----------
@@ -65,14 +66,14 @@ def cycloid(s):
 
 @kernel
 def ramp(linear, s):
-    """Return the profile of a clamp's voltage: a straight line when ``linear`` is not 0, otherwise cycloidal."""
+    """Return the profile of a clamp's voltage: a straight line if ``linear`` is not 0, otherwise a cycloid."""
     if linear != 0.0:
         return min(max(s, 0.0), 1.0)
     return cycloid(s)
 
 
 def inertia(frequency: float) -> float:
-    """Return 1/ω² of a mode of ``frequency`` [Hz], its lag per acceleration [s²]; 0 Hz: rigid."""
+    """Return 1/ω² of a mode of ``frequency`` [Hz], which is its lag divided by the acceleration [s²]; 0 Hz: rigid."""
     return 1.0 / (2.0 * math.pi * frequency) ** 2 if frequency > 0.0 else 0.0
 
 
@@ -198,7 +199,7 @@ class GaitParameters(Parameters):
 
     @property
     def closed_margin(self) -> float:
-        """Time for which both clamps are above the threshold voltage when one takes over from the other [s]."""
+        """Time for which both clamps are above the threshold voltage while one takes over from the other [s]."""
         span = self.grip_voltage - self.release_voltage
         level = (self.threshold_voltage - self.release_voltage) / span
         linear = self.clamp_ramp == "linear"
@@ -207,7 +208,7 @@ class GaitParameters(Parameters):
         return opens - closed
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Return why the gait cannot walk at ``speed`` [m/s], with the highest speed; None when it can."""
+        """Return why the gait cannot walk at ``speed`` [m/s], with the highest possible speed; None if it can."""
         if math.isfinite(speed) and abs(speed) <= self.speed * (1.0 + 1e-9):
             return None
         return (
@@ -247,26 +248,26 @@ class GaitParameters(Parameters):
             yield Problem("walking_speed", self.walking_speed, refused)
 
 
-#: Number of bins of the error per spline.
+#: Number of bins of the error for each spline.
 BINS_PER_SPLINE = 4
-#: Weights of the change of the coefficients and of the correction's curvature, relative to the mean of the diagonal of
-#: MᵀM.
+#: Weight of the change of the coefficients, and weight of the curvature of the correction, both relative to the mean of
+#: the diagonal of MᵀM.
 CHANGE_WEIGHT = 1.0e-3
 CURVATURE_WEIGHT = 1.0e-2
-#: Largest deviations of the motor from the model of the learning: of the fraction of the extender's motion that reaches
-#: the slider; of the instant at which a clamp grips or releases, as a fraction of its ramp; and of the slider's natural
-#: frequency.
+#: Largest deviations of the motor from the model that the learning uses. GAIN_RANGE: of the fraction of the extender's
+#: motion that reaches the slider; GRIP_RANGE: of the instant at which a clamp grips or releases, as a fraction of its
+#: ramp; SWING_RANGE: of the slider's natural frequency.
 GAIN_RANGE = 0.1
 GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
-#: Integration steps of the slider's oscillation per bin.
+#: Number of integration steps of the slider's oscillation in each bin.
 STEPS_PER_BIN = 8
-#: Tolerance for rounding errors of an eigenvalue of 1: modes that the learning cannot observe have this eigenvalue.
+#: Tolerance for rounding errors of an eigenvalue of 1: modes that the learning cannot observe have the eigenvalue 1.
 ROUNDING = 1.0e-9
 
 
 class Offset(NamedTuple):
-    """Deviations of a motor from the model: factor on its motion, fraction of a ramp, factor on the frequency."""
+    """Deviations of a motor from the model: factor on its motion, fraction of a clamp's ramp, factor on frequency."""
 
     gain: float = 1.0
     grip: float = 0.0
@@ -384,7 +385,7 @@ class WalkParameters(Parameters):
         return self.step / gait.period
 
     def gait_problems(self, gait: GaitParameters):
-        """Yield a Problem for each inconsistency with the gait, and when the learning would not converge."""
+        """Yield a Problem for each inconsistency with the gait, and if the learning would not converge."""
         if not self.continuous:
             return
         if gait.overlap > 0.0:
@@ -422,7 +423,7 @@ class WalkParameters(Parameters):
 def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
     """Return the phases at which the processes of a cycle end, shape (8,), in the order of the layout.
 
-    ``direction`` is 1 forward (carrying extends), −1 backward.
+    ``direction`` is 1 forward (the extender extends while it carries), −1 backward.
     """
     carrying, returning = (gait.extend, gait.contract)[::direction]
     durations = (0.5 * returning, gait.settle, gait.grip, gait.release, carrying, gait.settle, gait.grip, gait.release)
@@ -434,7 +435,7 @@ def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
 
 
 def contacts(walk: WalkParameters, gait: GaitParameters) -> tuple[float, float]:
-    """Return the fractions of the closing and of the opening ramp at which a clamp touches and lets go."""
+    """Return the fractions of a clamp's closing and opening ramp at which it touches and releases the slider."""
     span = gait.grip_voltage - gait.release_voltage
     level, linear = (walk.touch_voltage - gait.release_voltage) / span, gait.clamp_ramp == "linear"
     return crossing(linear, level), crossing(linear, 1.0 - level)
@@ -466,7 +467,7 @@ def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, 
 
 
 def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Offset = NOMINAL) -> np.ndarray:
-    """Return M, shape (bins, splines): the slider's motion per coefficient, by phase, at the learning speed.
+    """Return M, shape (bins, splines): motion of the slider, by phase, for a coefficient of 1, at the learning speed.
 
     The motion is measured from the extension at which the front clamp grips. While the rear clamp is open the slider
     follows the extender and oscillates; when the rear clamp grips, the slider stands still.
@@ -516,7 +517,7 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
 
 @functools.cache
 def learning_matrices(walk: WalkParameters, gait: GaitParameters, direction: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return L, shape (splines, bins), and K, shape (splines, splines), in a fixed order of arithmetic."""
+    """Return L, shape (splines, bins), and K, shape (splines, splines), computed in a fixed order of arithmetic."""
     moved = response(walk, gait, direction)
     squares = product(moved.T, moved)
     curvature = -2.0 * np.eye(walk.splines)
@@ -530,7 +531,7 @@ def learning_matrices(walk: WalkParameters, gait: GaitParameters, direction: int
 
 @functools.cache
 def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> float:
-    """Return the factor by which a cycle multiplies an error on the worst motor: spectral radius of I − γ (L M + K).
+    """Return the factor on the error in each cycle, for the worst motor: the spectral radius of I − γ (L M + K).
 
     The motors are the corners of :data:`GAIN_RANGE`, :data:`GRIP_RANGE` and :data:`SWING_RANGE` around the model.
     """
@@ -546,7 +547,7 @@ def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> f
 
 @dataclass(frozen=True)
 class FineParameters(Parameters):
-    """Fine positioning: the front clamp holds the slider, and the controller's measurement is the slider's position."""
+    """Fine positioning: the front clamp holds the slider, and the controller measures the position of the slider."""
 
     enabled: bool = parameter(
         True, read_only=True, description="true: finish a move with the extender in closed loop; false: with steps only"
@@ -674,7 +675,7 @@ class ScheduleParameters(Parameters):
     duration: float = parameter(0.0, unit="s", low=0.0, read_only=True, description="length of a run; 0: not stated")
 
     def check(self):
-        """Yield a Problem when times and values differ in number or the times do not rise."""
+        """Yield a Problem if times and values differ in number, or if the times do not increase."""
         if len(self.times) != len(self.values):
             yield Problem("times", self.times, f"must be {len(self.values)} numbers, one for each of values")
         elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
@@ -702,7 +703,7 @@ class InchwormSequencerParameters(Parameters):
     setpoints: ScheduleParameters = group(ScheduleParameters)
 
     def check(self):
-        """Yield a Problem when the travel is empty or does not contain a setpoint of the configuration."""
+        """Yield a Problem if the travel is empty or does not contain a setpoint of the configuration."""
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
             return
@@ -715,7 +716,7 @@ class InchwormSequencerParameters(Parameters):
         yield from self.walk.gait_problems(self.gait)
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Return why the motor cannot walk at ``speed`` [m/s], with the highest speed; None when it can."""
+        """Return why the motor cannot walk at ``speed`` [m/s], with the highest possible speed; None if it can."""
         fastest = self.walk.fastest(self.gait)
         if not self.walk.continuous or abs(speed) <= fastest * (1.0 + 1e-9):
             return self.gait.refuse_speed(speed)

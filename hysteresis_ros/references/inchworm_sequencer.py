@@ -7,17 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Inchworm sequencer: a state machine from setpoints to clamp voltages and the extender's reference, and its file.
+"""Inchworm sequencer: state machine that computes clamp voltages and the extender's reference; file of a learned walk.
 
-Both clamps close first. From then on a clamp changes only while the other one is closed: *holding* (both closed) is the
-only state from which a clamp opens. In it the sequencer chooses the next phase from the setpoint, the measurements and
-the requests. A phase runs to its end, except when the motor must stop: then the open clamp closes immediately while the
-extender brakes.
+Both clamps close first. From then on, a clamp changes only while the other one is closed: *holding* (both closed) is
+the only state from which a clamp opens. While both hold, the sequencer chooses the next phase from the setpoint, the
+measurements and the requests. A phase runs to its end unless the motor must stop; then the open clamp closes
+immediately while the extender brakes.
 
 The sequencer replaces the reference generator. The motion controller's measurement is the slider position minus
 :attr:`origin`. The origin is chosen so that the measurement is the displacement of the extender while the motor walks,
-and the displacement of the slider in fine positioning. While both clamps hold, it is the reference itself: nothing can
-move then, and an integral would wind up.
+and the displacement of the slider in fine positioning. While both clamps hold, the controller receives its own
+reference as measurement, because nothing can move and an integral would wind up.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ from hysteresis_ros.references.inchworm_steps import (
 from hysteresis_ros.references.inchworm_walk import begin_walk, coast, stride
 from hysteresis_ros.units import micrometres
 
-#: First key of a file of a learned walk.
+#: First key of the file of a learned walk.
 KIND = "inchworm_walk"
 _HEADER = """\
 # Learned correction of an inchworm's walk over the phase of its cycle; load it with walk.file of inchworm_sequencer.
@@ -81,7 +81,7 @@ _HEADER = """\
 
 
 class LearnedWalk(NamedTuple):
-    """A learned walk: length of a cycle [m] and coefficients of the correction [m], both (splines,)."""
+    """A learned walk: length of a cycle [m], and coefficients of each direction's correction [m], shape (splines,)."""
 
     step: float
     forward: np.ndarray
@@ -96,10 +96,10 @@ def write_walk(path, learned: LearnedWalk) -> None:
 
 
 def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
-    """Read a learned walk with ``splines`` coefficients.
+    """Read the file of a learned walk with ``splines`` coefficients for each direction.
 
-    ``step`` and ``bound`` are the length of a cycle and the largest coefficient that the parameters state [m].
-    ParameterError: the file is missing, is not a learned walk, or does not fit.
+    ``step`` is the length of a cycle, and ``bound`` the largest allowed coefficient, both from the parameters [m].
+    ParameterError: the file is missing, is not a learned walk, or does not fit the parameters.
     """
 
     def refused(text):
@@ -133,7 +133,7 @@ def reach(p):
 def take_inputs(p, x, setpoint, slider, extender):
     """Read setpoint, measurements and request of this sample."""
     if x[at.WALKED] != 0.0 and x[at.SPEED] == 0.0:
-        # after walking the motor keeps its position until the next setpoint
+        # after continuous walking, the motor keeps its position until the next setpoint
         x[at.WALKED] = 0.0
         x[at.TARGET] = min(max(x[at.SLIDER], p[at.MINIMUM]), p[at.MAXIMUM])
     if setpoint != x[at.RECEIVED] and setpoint == setpoint:
@@ -206,7 +206,7 @@ def decide(p, x):
 
 @kernel
 def begin_positioning(x):
-    """Begin fine positioning: from now on the controller measures the slider, and the origin is fixed."""
+    """Begin fine positioning: from now on the controller measures the slider, and the origin stays fixed."""
     x[at.SOURCE] = at.FOLLOWING
     x[at.ORIGIN] = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION]
     x[at.ANCHOR] = x[at.SLIDER]
@@ -222,7 +222,7 @@ def begin_positioning(x):
 
 @kernel
 def end_positioning(p, x):
-    """Close the rear clamp in addition to the front one."""
+    """End fine positioning: close the rear clamp, while the front one stays closed."""
     x[at.ARRIVED] = 0.0
     x[at.FINE_VELOCITY] = 0.0
     drive_rear(x, p[at.GRIP_VOLTAGE])
@@ -231,7 +231,7 @@ def end_positioning(p, x):
 
 @kernel
 def position(p, x):
-    """Compute a sample of fine positioning; end it when the setpoint is out of range, or when the front clamp slips."""
+    """Compute a sample of fine positioning; end it if the setpoint is out of range, or if the front clamp slips."""
     goal = x[at.TARGET] - x[at.ORIGIN]
     end = goal + x[at.PRETENSION]
     out_of_reach = end < lowest(p, x) - p[at.MARGIN] or end > highest(p, x) + p[at.MARGIN]
@@ -241,7 +241,7 @@ def position(p, x):
     x[at.FINE_ERROR] += p[at.SMOOTHING] * (x[at.TARGET] - x[at.SLIDER] - x[at.FINE_ERROR])
     slip = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION] - x[at.ORIGIN]
     x[at.FINE_SLIP] += p[at.SMOOTHING] * (slip - x[at.FINE_SLIP])
-    # drift and creep are slow and may continue without limit; a clamp slips faster
+    # drift and creep are slow and may go on without limit; a slipping clamp moves faster
     ahead = x[at.FINE_SLIP] - x[at.FINE_DRIFT]
     most = p[at.DRIFT] * p[at.SAMPLE_TIME]
     x[at.FINE_DRIFT] += min(max(ahead, -most), most)
@@ -275,7 +275,7 @@ def position(p, x):
 
 @kernel
 def held(p, x):
-    """Handle a closed clamp: evaluate the step, if there was one, and hold."""
+    """Handle closed clamps: evaluate the step, if there was one, and hold."""
     if x[at.JUDGE] != 0.0:
         x[at.JUDGE] = 0.0
         account(p, x)
@@ -291,7 +291,7 @@ def open_phase(p, x):
     if must_stop(p, x):
         stop_here(p, x)
     elif phase == at.RELEASING_REAR:
-        # slowly before the clamp opens, to avoid ringing of the extender
+        # the load is transferred slowly before the clamp opens, so that the extender does not ring
         pretensioning(x, p[at.RELEASE_SAMPLES])
         wait = load_time(p, x)
         if x[at.TIMER] >= wait:
@@ -327,7 +327,7 @@ def open_phase(p, x):
 
 @kernel
 def stopping(p, x):
-    """Compute a sample of stopping: the extender brakes in half the closing time of the clamp."""
+    """Compute a sample of stopping: the extender brakes within half the closing time of the clamp."""
     if x[at.CYCLE] != 0.0:
         coast(p, x)
     elif x[at.MOVE_RATE] > 0.0:
@@ -342,7 +342,7 @@ def stopping(p, x):
 
 @kernel
 def run_phase(p, x):
-    """Compute a sample of the present phase, which may end in another one."""
+    """Compute a sample of the present phase; the phase may end in another one."""
     phase = x[at.PHASE]
     if x[at.CYCLE] != 0.0 and phase != at.STOPPING:
         stride(p, x)
@@ -371,7 +371,7 @@ def run_phase(p, x):
 
 @kernel
 def guard(p, x):
-    """Stop with an error when the slider has moved more than the present phase can explain."""
+    """Stop with an error if the slider has moved more than the present phase can explain."""
     if x[at.STARTED] == 0.0 or x[at.MODE] == at.FAILED or x[at.BAD] > 0.0:
         return
     limit = p[at.RUNAWAY]
@@ -404,7 +404,7 @@ def drive_clamps(p, x):
 
 @kernel
 def sequence(p, x, setpoint, slider, extender):
-    """Advance by a sample and return the reference [m]; ``x`` contains all other outputs.
+    """Advance by a sample and return the reference [m]; all other outputs are in ``x``.
 
     Parameters
     ----------
@@ -412,7 +412,7 @@ def sequence(p, x, setpoint, slider, extender):
         Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. The caller may write ``x[REQUEST]``
         and ``x[SPEED]`` before the call.
     setpoint : float
-        Setpoint [m]; it is used when it differs from the last one and lies within the travel.
+        Setpoint [m]; it is used if it differs from the last one and lies within the travel.
     slider, extender : float
         Measured displacements [m]; NaN if there is no measurement.
     """
@@ -437,7 +437,7 @@ def sequence(p, x, setpoint, slider, extender):
 
 
 class InchwormSequencer(Block):
-    """The sequencer: computes reference and clamp voltages of each sample from setpoint and measurements.
+    """The sequencer: it computes reference and clamp voltages of each sample from setpoint and measurements.
 
     Parameters
     ----------
@@ -462,7 +462,7 @@ class InchwormSequencer(Block):
         super().__init__(parameters, sample_time)
 
     def pack(self, parameters: InchwormSequencerParameters) -> np.ndarray:
-        """Return p; the layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
+        """Return the parameter array p; its layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
         gait, fine, guard = parameters.gait, parameters.fine, parameters.guard
         p = np.concatenate([np.zeros(at.PARAMETERS), *self._pack_learning(parameters)])
 
@@ -536,7 +536,7 @@ class InchwormSequencer(Block):
         return [part.ravel() for direction in (1, -1) for part in learning_matrices(walk, gait, direction)]
 
     def initial_state(self) -> np.ndarray:
-        """Return x before the first sample: both clamps are about to close."""
+        """Return the state x before the first sample: both clamps are about to close."""
         parameters = self.parameters
         gait, learning, walk = parameters.gait, parameters.learning, parameters.walk
         n, m = int(self.p[at.SPLINES]), int(self.p[at.BINS])
@@ -559,11 +559,11 @@ class InchwormSequencer(Block):
         return x
 
     def step(self, setpoint: float, slider: float, extender: float) -> float:
-        """Return the reference [m] of this sample from setpoint and measurements [m]; other outputs are properties."""
+        """Return the reference [m] for setpoint and measurements [m] of this sample; other outputs are properties."""
         return self.kernel(self.p, self.x, float(setpoint), float(slider), float(extender))
 
     def refuse(self, setpoint: float) -> str | None:
-        """Return why a setpoint [m] is refused, with value and range; None when it is accepted."""
+        """Return why a setpoint [m] is refused, with its value and the range; None if it is accepted."""
         low, high = self.parameters.minimum, self.parameters.maximum
         if low <= setpoint <= high:
             return None
@@ -571,9 +571,9 @@ class InchwormSequencer(Block):
         return f"setpoint {micrometres(setpoint)} refused: {reason}, allowed: {micrometres(low, high)}"
 
     def request(self, code: int) -> None:
-        """Request start, stop, home or release (codes of the layout), beginning with the next sample.
+        """Request start, stop, home or release (codes of the layout), from the next sample on.
 
-        Release opens the front clamp and lets the extender relax; the rear clamp keeps holding the slider.
+        Release opens the front clamp and relaxes the extender; the rear clamp still holds the slider.
         """
         self.x[at.REQUEST] = code
 
@@ -583,7 +583,7 @@ class InchwormSequencer(Block):
         Returns
         -------
         str or None
-            Why the speed is refused, with the highest speed (nothing changes then); None when it is accepted.
+            Why the speed is refused, with the highest possible speed (nothing is changed then); None if it is accepted.
         """
         reason = self.parameters.refuse_speed(speed)
         if reason is None:
@@ -599,12 +599,12 @@ class InchwormSequencer(Block):
 
     @property
     def duration_samples(self) -> int:
-        """Length of the scheduled run in samples; 0: not stated."""
+        """Length of the scheduled run in samples; 0 if no duration is given."""
         return round(self.parameters.setpoints.duration / self.sample_time)
 
     @property
     def reference(self) -> float:
-        """Commanded displacement [m] of the extender, or of the slider minus :attr:`origin`."""
+        """Commanded displacement of the extender, or commanded slider position minus :attr:`origin` [m]."""
         return float(self.x[at.REFERENCE])
 
     @property
@@ -629,7 +629,7 @@ class InchwormSequencer(Block):
 
     @property
     def error(self) -> str:
-        """Name of the error; empty without an error."""
+        """Name of the present error; empty if there is none."""
         return at.ERROR_NAMES[int(self.x[at.ERROR])]
 
     @property
@@ -639,7 +639,7 @@ class InchwormSequencer(Block):
 
     @property
     def learned(self) -> dict[str, float]:
-        """The learned step lengths, as initial parameters of ``learning``."""
+        """Learned step lengths, in the form of the initial parameters of ``learning``."""
         stroke = self.parameters.gait.stroke
         found = {"load_deflection": float(self.x[at.LOAD])}
         for way, first in (("forward", at.FORWARD_MODEL), ("backward", at.BACKWARD_MODEL)):
@@ -649,7 +649,7 @@ class InchwormSequencer(Block):
 
     @property
     def learned_walk(self) -> LearnedWalk:
-        """The learned correction of continuous walking."""
+        """Learned correction of continuous walking, with the length of its cycle."""
         n = int(self.p[at.SPLINES])
         starts = at.WALK, at.WALK + 2 * n
         return LearnedWalk(self.parameters.walk.step, *(self.x[first : first + n].copy() for first in starts))
@@ -665,7 +665,7 @@ class InchwormSequencer(Block):
         Raises
         ------
         ParameterError
-            Continuous walking is off, or no file is given.
+            Continuous walking is off, or there is no file name.
         ConfigurationError
             The file cannot be written.
         """

@@ -9,12 +9,12 @@
 
 """Steps of the inchworm sequencer: learned length, motions of clamps and extender, and evaluation of a step.
 
-The model of a step is z = gain u + offset, with the commanded extension u and the motion z of the slider along it, both
-as fractions of the full stroke. The offset contains the load (with opposite signs in the two directions) and the loss
-when a clamp closes; the gain contains all other effects. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd
-edition 1995, section 2.2. Forgetting pauses while a variance is as large as at the start. Full steps alone cannot
-separate gain and offset, and with forgetting the variance would grow without bound. The gain is bounded; the offset is
-not, because of the load.
+The model of a step is z = gain u + offset, with the commanded extension u and the motion z of the slider in the same
+direction, both as fractions of the full stroke. The offset represents the load (with opposite signs in the two
+directions) and the loss when a clamp closes; the gain represents all other effects. Reference: Åström & Wittenmark,
+*Adaptive Control*, 2nd edition 1995, section 2.2. Forgetting pauses while a variance is as large as at the start: full
+steps alone cannot separate gain and offset, and with forgetting the variance would then grow without bound. The gain is
+bounded. The offset is not, because it contains the load.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from hysteresis_ros.models.block import called, kernel
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_parameters import cycloid
 
-# Layout of the model of one direction in x.
+# Layout of the model of one direction in the state x.
 GAIN = 0
 OFFSET = 1
 COVARIANCE = 2  # variance of the gain, covariance of gain and offset, variance of the offset
 SIZE = 5
 
-#: Standard deviations of gain and offset before the first step, and of one measured step.
+#: Standard deviations: of gain and offset before the first step, and of one measured step.
 GAIN_DEVIATION = 0.05
 OFFSET_DEVIATION = 0.5
 STEP_DEVIATION = 2.0e-3
@@ -40,7 +40,7 @@ STEP_DEVIATION = 2.0e-3
 LOWEST_GAIN = 0.5
 HIGHEST_GAIN = 1.5
 
-#: Smallest and largest modelled length of the longest step, as fractions of its extension.
+#: Smallest and largest length that the model may give for the longest step, as fractions of the step's extension.
 SHORTEST = 0.1
 LONGEST = 2.0
 
@@ -57,19 +57,19 @@ def forget_all(x, at, gain, offset):
 
 @kernel
 def longest_step(x, at, usable):
-    """Return the length of the longest step, whose extension is ``usable``, both as fractions of the stroke."""
+    """Return the length of the longest step, which has the extension ``usable``, both as fractions of the stroke."""
     return min(max(x[at + GAIN] * usable + x[at + OFFSET], SHORTEST * usable), LONGEST)
 
 
 @kernel
 def extension_for(x, at, length):
-    """Return the extension, 0 … 1, that moves the slider by ``length``, both as fractions of the stroke."""
+    """Return the extension, 0 … 1, with which the slider moves by ``length``, both as fractions of the stroke."""
     return min(max((length - x[at + OFFSET]) / max(x[at + GAIN], LOWEST_GAIN), 0.0), 1.0)
 
 
 @kernel
 def learn(x, at, forgetting, u, z):
-    """Update the model with a step: the extension ``u`` moved the slider by ``z``."""
+    """Update the model by a step in which the extension ``u`` moved the slider by ``z``."""
     a = x[at + COVARIANCE]
     b = x[at + COVARIANCE + 1]
     c = x[at + COVARIANCE + 2]
@@ -95,19 +95,20 @@ def learn(x, at, forgetting, u, z):
     x[at + COVARIANCE + 2] = c
 
 
-#: Fraction of the commanded extension below which the slider counts as not moved.
+#: A slider that moves by less than this fraction of the commanded extension counts as not moved.
 STILL_PART = 0.1
-#: Fraction of the stroke below which steps are used neither for learning nor for detecting faults.
+#: Steps shorter than this fraction of the stroke are used neither for learning nor for the detection of faults.
 SHORT_STEP = 0.05
-#: Fraction of the stroke below which steps of continuous walking are not shortened; the motor pauses between them.
+#: In slow continuous walking, steps are not made shorter than this fraction of the stroke; the motor pauses instead.
 SLOW_STEP = 0.1
 #: Largest deflection by the load, as a fraction of the stroke.
 LOAD_PART = 0.8
-#: Factors on the measured mean deflection, which give the correction of the learned deflection: at every step, and at
-#: the first step, at which the controller's integral has already compensated about half of the deflection.
+#: Factors on the measured mean deflection that give the correction of the learned deflection. LOAD_GAIN applies to
+#: every step, FIRST_LOAD_GAIN to the first one, in which the controller's integral has already compensated about half
+#: of the deflection.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
-#: Mean deflection, as a fraction of the stroke, up to which it may be the lag of the extender and is not learned.
+#: Up to this mean deflection, as a fraction of the stroke, it may be the lag of the extender and is not learned.
 LAG_PART = 0.02
 #: Tolerance for equal extensions [m].
 EQUAL = 1.0e-12
@@ -115,7 +116,7 @@ EQUAL = 1.0e-12
 
 @kernel
 def fail(x, error):
-    """Stop with an error, until the next start; the first error is kept."""
+    """Stop with an error until the next start; the first error stays."""
     if x[at.MODE] != at.FAILED:
         x[at.MODE] = at.FAILED
         x[at.ERROR] = error
@@ -159,7 +160,7 @@ def move(p, x, target):
 
 @kernel
 def let_go(x):
-    """Switch the feedback to the extender before a clamp opens."""
+    """Let the controller measure the extender again, before a clamp opens."""
     x[at.SOURCE] = at.OWN
     x[at.BIAS] = x[at.EXTENDER] - x[at.TIP]
     x[at.MOVE_DONE] = 0.0
@@ -167,7 +168,7 @@ def let_go(x):
 
 @kernel
 def hold(x):
-    """Switch the feedback off while both clamps are closed."""
+    """Switch the feedback off, because both clamps are closed."""
     x[at.SOURCE] = at.BLOCKED
     x[at.ANCHOR] = x[at.SLIDER]
     enter(x, at.HOLDING)
@@ -175,13 +176,13 @@ def hold(x):
 
 @kernel
 def must_stop(p, x):
-    """Return whether both clamps must hold."""
+    """Return whether both clamps must close."""
     return x[at.MODE] == at.STOP or x[at.MODE] == at.FAILED or x[at.BAD] > p[at.SENSOR_SAMPLES]
 
 
 @kernel
 def stop_here(p, x):
-    """Begin to close the open clamp, or both."""
+    """Begin to close the open clamp, or both clamps."""
     drive_front(x, p[at.GRIP_VOLTAGE])
     drive_rear(x, p[at.GRIP_VOLTAGE])
     enter(x, at.STOPPING)
@@ -189,7 +190,7 @@ def stop_here(p, x):
 
 @kernel
 def moving(p, x):
-    """Advance the extender's motion by a sample; return whether the motion or the wait that follows it continues."""
+    """Advance the extender's motion by a sample; return whether the motion, or the wait after it, still continues."""
     if x[at.MOVE_DONE] < 1.0:
         x[at.MOVE_DONE] = min(x[at.MOVE_DONE] + x[at.MOVE_RATE] / x[at.MOVE_SAMPLES], 1.0)
         if x[at.MOVE_DONE] > 1.0 - 1.0e-9:
@@ -214,52 +215,52 @@ def turn(x, way):
 
 @kernel
 def lowest(p, x):
-    """Return the smallest extension [m] of a step; the load reduces the range."""
+    """Return the smallest extension in a step [m]; the load reduces the range."""
     return p[at.LOWEST] + max(x[at.LOAD], 0.0)
 
 
 @kernel
 def highest(p, x):
-    """Return the largest extension [m] of a step."""
+    """Return the largest extension in a step [m]; the load reduces the range."""
     return p[at.HIGHEST] + min(x[at.LOAD], 0.0)
 
 
 @kernel
 def within(p, x, extension):
-    """Return whether ``extension`` [m] is in the range of steps."""
+    """Return whether an ``extension`` [m] is in the range of the steps."""
     return extension >= lowest(p, x) - EQUAL and extension <= highest(p, x) + EQUAL
 
 
 @kernel
 def pretension(p, x, target):
-    """Begin to transfer the load from the opening clamp to the extender, by a deflection of ``target`` [m]."""
+    """Begin to transfer the load from the opening clamp to the extender, which the load deflects by ``target`` [m]."""
     x[at.PRETENSION_FROM] = x[at.PRETENSION]
     x[at.PRETENSION_TO] = target
 
 
 @kernel
 def load_time(p, x):
-    """Return the number of samples of the load transfer, during which both clamps stay closed."""
+    """Return the number of samples of the load transfer; both clamps stay closed in this time."""
     return p[at.RELEASE_SAMPLES] if x[at.LOAD] != 0.0 else 0.0
 
 
 @kernel
 def pretensioning(x, duration):
-    """Advance the pretension, which takes ``duration`` samples from the beginning of the phase."""
+    """Advance the pretension by a sample; it takes ``duration`` samples from the beginning of the phase."""
     part = cycloid((x[at.TIMER] + 1.0) / duration)
     x[at.PRETENSION] = x[at.PRETENSION_FROM] + (x[at.PRETENSION_TO] - x[at.PRETENSION_FROM]) * part
 
 
 @kernel
 def feel(x):
-    """Sum the deflection of the extender while it carries; the mean over the step removes its oscillation."""
+    """Sum the deflection of the extender while it carries; the mean over a step contains no oscillation."""
     x[at.GIVEN_WAY] += x[at.EXTENDER] - x[at.TIP] - x[at.BIAS] * (1.0 - cycloid(x[at.MOVE_DONE]))
     x[at.FELT] += 1.0
 
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by a decreasing fraction of the extender's mean deflection after the transfer."""
+    """Correct the learned load by a fraction of the mean deflection after the load transfer, less with each step."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke
@@ -283,11 +284,11 @@ def account(p, x):
     x[at.COMMANDED_STEP] = direction * x[at.STEP_LENGTH]
     x[at.ACHIEVED_STEP] = direction * moved
     x[at.RETURNS] = 0.0
-    wanted = max(extension, x[at.STEP_LENGTH])  # with a load or a wrong model the extension of a step may be zero
+    wanted = max(extension, x[at.STEP_LENGTH])  # with a load or a wrong model, the extension of a step may be zero
     if wanted < SHORT_STEP * stroke:
         return
-    # a step whose length came from the load or from a wrong offset of the model does not count as missed: it corrects
-    # the model
+    # a step whose extension resulted from the load or from a wrong offset of the model does not count as missed,
+    # because it corrects the model
     missed = x[at.EXTENSION] >= SHORT_STEP and moved <= p[at.MISSED_PART] * extension
     if missed:
         x[at.MISSED] += 1.0
@@ -301,7 +302,7 @@ def account(p, x):
 
 @called
 def carry_from(p, x, start):
-    """Open a clamp: the rear one if the extender is at the start of the step, else the front one to move it there."""
+    """Open a clamp: the rear one if the extender is at the start of the step, else the front one, to move it there."""
     if x[at.RETURNS] > p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
         return
@@ -320,10 +321,10 @@ def carry_from(p, x, start):
 
 @kernel
 def plan_partial(p, x, length):
-    """Choose the extension for ``length`` [m] ≥ 0 and return its start [m].
+    """Choose the extension for a step of ``length`` ≥ 0 [m] and return the extension at which the step starts [m].
 
-    A step before fine positioning ends in the middle of the extender's range; if it is too long for that, another step
-    follows. Without fine positioning a step starts at the extender's present position, if it fits.
+    A step before fine positioning ends in the middle of the extender's range; if it is too long for this, another step
+    follows. Without fine positioning, a step starts at the present extension, if it fits into the range.
     """
     stroke = p[at.HIGHEST] - p[at.LOWEST]
     middle = 0.5 * (lowest(p, x) + highest(p, x))
@@ -378,7 +379,7 @@ def next_walk(p, x):
 
 @kernel
 def next_step(p, x):
-    """Begin the next step to the setpoint, if one is needed."""
+    """Begin the next step to the setpoint, if a step is needed."""
     distance = x[at.TARGET] - x[at.SLIDER]
     if p[at.FINE_ENABLED] == 0.0 and abs(distance) <= p[at.TOLERANCE]:
         x[at.DIRECTION] = 0.0

@@ -9,11 +9,12 @@
 
 """Continuous walking of an inchworm motor as kernels: extender and clamps as functions of the phase of the cycle.
 
-A cycle consists of the gait's six processes. Its phase is 0 in the middle of a return and 1 in the middle of the next.
-The path of the slider is a straight line over the phase while it is carried, and constant while the extender returns. A
-correction learned as a function of the phase (:mod:`hysteresis_ros.references.inchworm_parameters`) is added to the
-extender's motion: errors that depend on the phase repeat at any speed. The outputs lead by the known dynamics of
-slider, extender and clamps, which depend on time.
+A cycle consists of the gait's six processes. The phase of the cycle is 0 in the middle of a return and 1 in the middle
+of the next return. The path of the slider is a straight line over the phase while the slider is carried, and constant
+while the extender returns. A correction learned as a function of the phase
+(:mod:`hysteresis_ros.references.inchworm_parameters`) is added to the extender's motion: errors that depend on the
+phase repeat at any speed. The outputs lead the path to compensate the known dynamics of slider, extender and clamps,
+which depend on time.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ from hysteresis_ros.references.inchworm_steps import (
     turn,
 )
 
-#: The new correction fades in during this fraction of the extender's standstill before the front clamp closes.
+#: A new correction fades in during this fraction of the extender's standstill before the front clamp closes.
 GLIDE_PART = 0.8
-#: Factor on the highest rate above which a requested rate is too fast.
+#: A requested rate is too fast if it exceeds the highest rate by this factor.
 TOO_FAST = 1.05
-#: Relative difference of speeds that are equal for learning.
+#: For the learning, speeds with a smaller relative difference count as equal.
 SAME_SPEED = 0.02
-#: Fraction of the highest rate below which quick ramps of the clamps become slower.
+#: Below this fraction of the highest rate, even quick ramps of the clamps become slower.
 SLOWEST = 1.0e-3
 #: Value of a ramp's counter after its end.
 AT_ONCE = 1.0e9
@@ -52,13 +53,13 @@ AT_ONCE = 1.0e9
 
 @kernel
 def bounds_of(x):
-    """Return the index of the ends of the processes in the present direction."""
+    """Return the index in p of the ends of the processes for the present direction."""
     return at.FORWARD_BOUNDS if x[at.DIRECTION] > 0.0 else at.BACKWARD_BOUNDS
 
 
 @called
 def carried(blend, part):
-    """Return the profile of the carrying motion: straight between two smooth ends of length ``blend``."""
+    """Return the profile of the carrying motion: a straight line between two smooth ends of length ``blend``."""
     part = min(max(part, 0.0), 1.0)
     near = min(part, 1.0 - part)
     speed = 1.0 / (1.0 - blend)
@@ -88,7 +89,7 @@ def wrapped(phase):
 
 @kernel
 def spline(x, first, n, phase):
-    """Return the periodic cubic spline with the B-spline coefficients ``x[first:first + n]`` at ``phase``."""
+    """Return the value at ``phase`` of the periodic cubic spline with the coefficients ``x[first:first + n]``."""
     s = phase * n
     i = int(s)
     u = s - i
@@ -102,7 +103,7 @@ def spline(x, first, n, phase):
 
 @kernel
 def spline_bend(x, first, n, phase):
-    """Return the second derivative of the spline by the phase."""
+    """Return the second derivative of the spline with respect to the phase."""
     s = phase * n
     i = int(s)
     u = s - i
@@ -114,7 +115,7 @@ def spline_bend(x, first, n, phase):
 
 @kernel
 def coefficients(p, x):
-    """Return the index of the present direction's coefficients: the new ones, followed by the previous ones."""
+    """Return the index in x of the present direction's coefficients: first the new ones, then the previous ones."""
     return at.WALK + (0 if x[at.DIRECTION] > 0.0 else 2 * int(p[at.SPLINES]))
 
 
@@ -127,10 +128,10 @@ def path(p, x, phase):
 
 @called
 def tip(p, x, phase, glide):
-    """Return the desired position [m] of the extender at ``phase``; the correction is stored in ``x``.
+    """Return the desired position [m] of the extender at ``phase``, and store the correction in ``x``.
 
-    ``glide`` is the share of the new coefficients of the correction. A slider that oscillates needs additional
-    extension while it accelerates.
+    ``glide`` is the weight of the new coefficients of the correction, relative to the previous ones. If the slider
+    oscillates, it needs additional extension while it accelerates.
     """
     b, n, first = bounds_of(x), int(p[at.SPLINES]), coefficients(p, x)
     half = p[b + at.RETURNED]
@@ -138,7 +139,7 @@ def tip(p, x, phase, glide):
     new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
     x[at.CORRECTION] = old + glide * (new - old)
     acceleration = 0.0
-    if p[at.TIP_INERTIA] > 0.0:  # a resonance of the extender that is not known would be excited by this lead
+    if p[at.TIP_INERTIA] > 0.0:  # this lead would excite a resonance of the extender that is not known
         new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
         acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
     if phase < half or phase >= p[b + at.RETURN]:
@@ -155,7 +156,7 @@ def tip(p, x, phase, glide):
 
 @called
 def extension(p, x, phase):
-    """Return the commanded extension [m] at ``phase``, which leads the desired one by the extender's own dynamics."""
+    """Return the commanded extension [m] at ``phase``; its lead compensates the dynamics of the extender."""
     glide = cycloid(x[at.CYCLE_PHASE] / (GLIDE_PART * p[bounds_of(x) + at.CLOSE_FRONT]))
     if p[at.TIP_INERTIA] == 0.0:
         return tip(p, x, phase, glide)
@@ -175,7 +176,8 @@ def clamp_voltage(p, closed):
 def passed(p, rate, phase, first, last, contact):
     """Return the elapsed fraction of a clamp's ramp at ``phase``.
 
-    The ramp takes all of the time between two phases, or the gait's time around its part ``contact``.
+    The ramp takes the whole time between the phases ``first`` and ``last``; quick ramps take the gait's time, around
+    the fraction ``contact`` of the ramp.
     """
     part = (phase - first) / (last - first)
     if p[at.QUICK_CLAMPS] != 0.0:
@@ -213,7 +215,7 @@ def process(p, x, phase):
 
 @kernel
 def forget(p, x):
-    """Reset the corrections; the present correction decays to zero."""
+    """Reset the learned corrections; the correction in use decays to zero."""
     n, own = int(p[at.SPLINES]), coefficients(p, x)
     for i in range(4 * n):
         if at.WALK + i < own + n or at.WALK + i >= own + 2 * n:
@@ -223,7 +225,7 @@ def forget(p, x):
 
 @called
 def correct(p, x):
-    """Update the correction by the errors of the last cycle."""
+    """Update the correction with the errors of the last cycle."""
     n, m = int(p[at.SPLINES]), int(p[at.BINS])
     matrix = at.LEARNING_MATRICES + (0 if x[at.DIRECTION] > 0.0 else n * (m + n))
     sums, counts, first = at.WALK + 4 * n, at.WALK + 4 * n + m, coefficients(p, x)
@@ -245,7 +247,7 @@ def correct(p, x):
 
 @kernel
 def begin_cycle(p, x):
-    """Reset the statistics of the errors for the next cycle."""
+    """Reset the statistics of the errors, for the next cycle."""
     n, m = int(p[at.SPLINES]), int(p[at.BINS])
     for i in range(2 * m):
         x[at.WALK + 4 * n + i] = 0.0
@@ -255,7 +257,7 @@ def begin_cycle(p, x):
 
 @kernel
 def end_cycle(p, x):
-    """Learn from the cycle that ends in the middle of the return, and begin the next one."""
+    """Learn from the cycle, which ends in the middle of the return, and begin the next one."""
     n, first = int(p[at.SPLINES]), coefficients(p, x)
     for i in range(n):
         x[first + n + i] = x[first + i]
@@ -272,7 +274,7 @@ def end_cycle(p, x):
 
 @kernel
 def observe(p, x):
-    """Compare the slider with its path, which begins at the slider's position before the front clamp closes."""
+    """Compare the slider with its path; the path begins at the slider's position before the front clamp closes."""
     phase = x[at.CYCLE_PHASE]
     stands = phase < p[bounds_of(x) + at.CLOSE_FRONT]
     if stands:
@@ -294,7 +296,7 @@ def observe(p, x):
 
 @called
 def begin_walk(p, x):
-    """Begin continuous walking: the extender first moves to its position in a cycle at which both clamps hold."""
+    """Begin continuous walking: the extender first moves to where it is in a cycle while both clamps hold."""
     turn(x, x[at.SPEED])
     aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
@@ -338,7 +340,7 @@ def advance(p, x):
 
 @called
 def go_on(p, x, phase):
-    """Enter the process of the gait at ``phase``; while both clamps hold, evaluate the step, and end at its limit."""
+    """Enter the process of the gait at ``phase``; while both clamps hold, evaluate the step, and stop at its limit."""
     now = process(p, x, phase)
     if now == x[at.PHASE]:
         return
@@ -362,7 +364,7 @@ def go_on(p, x, phase):
 
 @called
 def stride(p, x):
-    """Compute a sample of continuous walking; end it to stop, reverse, walk to a setpoint or release."""
+    """Compute a sample of continuous walking; end it in order to stop, reverse, walk to a setpoint, or release."""
     turns = x[at.SPEED] * x[at.DIRECTION] <= 0.0
     if must_stop(p, x) or x[at.MODE] == at.LET_GO or turns:
         x[at.BRAKING] = 2.0 * x[at.CYCLE_RATE] / p[at.GRIP_SAMPLES]
@@ -388,7 +390,7 @@ def stride(p, x):
 
 @kernel
 def coast(p, x):
-    """Continue the phase at a decreasing rate while the open clamp closes."""
+    """Continue the phase at a decreasing rate, while the open clamp closes."""
     x[at.WHOLE] = 0.0
     x[at.CYCLE_RATE] = max(x[at.CYCLE_RATE] - x[at.BRAKING], 0.0)
     x[at.TIP] = extension(p, x, advance(p, x))

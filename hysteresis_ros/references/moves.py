@@ -24,7 +24,7 @@ from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
 
 
 class Arrival:
-    """Detects, from the times of the samples, that an error has stayed within a tolerance for a dwell time.
+    """Detector of an arrival: an error has stayed within a tolerance for a dwell time, by the times of the samples.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ class Arrival:
         self._since = math.inf
 
     def take(self, time: float, error: float) -> bool:
-        """Take a sample and return whether the move has arrived.
+        """Take a sample and return whether the axis has arrived.
 
         Parameters
         ----------
         time : float
             Time of the sample on any monotonic clock [s].
         error : float
-            Measurement minus target [m]; NaN: no measurement, so the move has not arrived.
+            Measurement minus target [m]; NaN: there is no measurement, so the axis has not arrived.
         """
         if not abs(error) <= self.tolerance:
             self._since = math.inf
@@ -83,9 +83,10 @@ class SettlingParameters(Parameters):
 class Settling:
     """Determines at each sample whether an axis has settled.
 
-    A sample counts when the measurement is within the tolerance of the reference, and the reference moves by less than
-    the tolerance within the time. A sample that does not count (for instance without a measurement) and a new setpoint
-    restart the time. So a step has settled when its response has stayed in the band for this time.
+    A sample counts if the measurement is within the tolerance of the reference, and if the reference moves by less than
+    the tolerance within the time. A sample that does not count (for example, one without a measurement) restarts the
+    time, and so does a new setpoint. Therefore a step has settled when its response has stayed in the band for this
+    time.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ class Settling:
 
 @dataclass(frozen=True)
 class ReadyParameters(Parameters):
-    """Criterion of a move that is ready: its displacement stays within a tolerance of the setpoint."""
+    """Criterion of a ready move: its displacement stays within a tolerance of the setpoint."""
 
     tolerance: float = parameter(
         0.0,
@@ -163,21 +164,21 @@ class ReadyParameters(Parameters):
     )
 
 
-#: 99 % of normally distributed values are within this many standard deviations of their mean, on both sides of it, and
-#: below this many standard deviations above it.
+#: Of normally distributed values, 99 % are within BOTH_SIDES standard deviations of their mean, and 99 % are less than
+#: ONE_SIDE standard deviations above it.
 BOTH_SIDES, ONE_SIDE = 2.576, 2.326
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of an axis at rest in closed loop.
+    """Noise of an axis that is at rest in closed loop.
 
     Parameters
     ----------
     sensor : float
         Standard deviation of the noise of a measurement [m].
     displacement : float
-        Standard deviation of the displacement, which the loop moves by the noise that it feeds back [m].
+        Standard deviation of the displacement [m]; the loop causes it by the noise that it feeds back.
     """
 
     sensor: float
@@ -185,18 +186,18 @@ class Noise:
 
     @property
     def least_tolerance(self) -> float:
-        """Smallest distance from the setpoint that the displacement exceeds during at most 1 % of the time [m]."""
+        """Smallest tolerance: distance from the setpoint that the displacement exceeds during 1 % of the time [m]."""
         return BOTH_SIDES * self.displacement
 
 
 class NoiseMeter:
-    """Measures the noise of an axis from the samples at which its reference has been constant for a time.
+    """Meter for the noise of an axis, from the samples at which the reference has been constant for a time.
 
-    The second difference of white noise has six times its variance, and that of a slow motion is small. The variance of
-    the error is that of the sensor's noise plus that of the displacement, since noise does not move the axis within the
-    sample. It is taken around a line in each block of samples, so that a slow drift does not count as noise. The end of
-    a response does not count either: while the reference rests, a block with much less variance than those before
-    replaces them.
+    The second difference of white noise has six times the variance of the noise, and the second difference of a slow
+    motion is small. The variance of the error is the sum of the variances of the sensor's noise and of the
+    displacement, because noise does not move the axis within the same sample. In each block of samples, the variance is
+    taken around a straight line, so that a slow drift does not count as noise. The end of a response does not count
+    either: if a block has much less variance than the previous blocks while the reference rests, it replaces them.
 
     Parameters
     ----------
@@ -206,10 +207,10 @@ class NoiseMeter:
         Sample time [s].
     """
 
-    #: Least number of samples of an estimate, and the number over which it averages.
+    #: Smallest number of samples of an estimate, and number of samples over which it averages.
     FEWEST, AVERAGED = 100, 10_000
-    #: Least number of samples for which the reference must be constant, least number in a block, and the least factor
-    #: by which the variance must fall for a block to replace those before.
+    #: Smallest number of samples for which the reference must be constant; smallest number of samples in a block; and
+    #: smallest factor by which the variance must fall if a block is to replace the previous ones.
     SETTLED, BLOCK, LESS = 200, 256, 4.0
 
     def __init__(self, rest: float, sample_time: float):
@@ -218,11 +219,11 @@ class NoiseMeter:
         self._last = np.full((2, 2), math.nan)
         self._still = self.count = 0
         self._differences = 0.0
-        # numbers of samples and variances of the error: before the present rest, and in it
+        # number of samples and variance of the error: before the present rest of the reference, and in it
         self._before, self._present = (0, 0.0), (0, 0.0)
 
     def take(self, reference, measured) -> None:
-        """Take samples in succession: references and measurements [m], shape (N,); NaN: no measurement."""
+        """Take consecutive samples: references and measurements [m], shape (N,); NaN: no measurement."""
         for first in range(0, len(reference), self._length):
             block = slice(first, first + self._length)
             self._take(reference[block], measured[block])
@@ -251,7 +252,7 @@ class NoiseMeter:
             self._before, self._present = self._together(self._before, self._present), (0, 0.0)
 
     def _together(self, one, other) -> tuple[int, float]:
-        """Return number of samples, at most :data:`AVERAGED`, and mean variance of two parts."""
+        """Return number of samples (at most :data:`AVERAGED`) and mean variance of two parts together."""
         count = one[0] + other[0]
         mean = (one[0] * one[1] + other[0] * other[1]) / count if count else 0.0
         return min(count, self.AVERAGED), mean
@@ -262,13 +263,13 @@ class NoiseMeter:
         return math.sqrt(self._differences / 6.0) if self.count >= self.FEWEST else math.nan
 
     def noise(self, displacement: float = 0.0, error: float = 1.0) -> Noise:
-        """Return the noise of the axis; noise that the model of its loop does not explain is a motion (vibration, hum).
+        """Return the axis' noise; error that the model of the loop does not explain counts as motion (vibration, hum).
 
         Parameters
         ----------
         displacement, error : float, optional
-            Standard deviations of the displacement and of the measured error that the model of the loop has at sensor
-            noise of one metre [m]; by default a loop at rest.
+            Standard deviations of the displacement and of the measured error, according to the model of the loop, for a
+            sensor noise of one metre [m]; by default, those of a loop that does not react to noise.
         """
         sensor = self.sensor
         variance = self._together(self._before, self._present)[1]
@@ -277,11 +278,11 @@ class NoiseMeter:
 
 
 class Readiness:
-    """Determines from noisy measurements since when the displacement has stayed within a tolerance of a setpoint.
+    """Detector of the time since which the displacement has stayed within a tolerance of a setpoint, in spite of noise.
 
-    It averages the error over as many samples as the noise requires. The margin of the tolerance is that of the
-    displacement's noise: the displacement then is outside the tolerance during less than 1 % of the time. Missing
-    measurements are left out of the mean; when they last longer than the dwell time, the displacement is unknown.
+    The error is averaged over as many samples as the noise requires. The margin within the tolerance is chosen for the
+    noise of the displacement, so that the displacement is outside the tolerance during less than 1 % of the time.
+    Missing measurements are not part of the mean; if they last longer than the dwell time, the displacement is unknown.
 
     Parameters
     ----------
@@ -299,10 +300,11 @@ class Readiness:
     ready : bool
         Whether the axis is ready.
     since : float
-        Time from the first sample of the move until the displacement stayed within the tolerance [s]; NaN: not yet.
+        Time from the first sample of the move to the instant since which the displacement has stayed within the
+        tolerance [s]; NaN: not yet.
     """
 
-    #: Smallest margin, as a fraction of the tolerance; probability that noise alone interrupts the dwell time.
+    #: Smallest margin, as a fraction of the tolerance; accepted probability that noise alone interrupts the dwell time.
     MARGIN, INTERRUPTED = 0.25, 0.01
     #: Largest number of averaged samples.
     LONGEST = 10_000
@@ -311,7 +313,7 @@ class Readiness:
         self.tolerance, self._sample_time = tolerance, sample_time
         self._inner = max(tolerance - ONE_SIDE * noise.displacement, self.MARGIN * tolerance)
         self._dwell = math.ceil(dwell / sample_time - 1e-9)
-        # standard errors of a mean that fit into the margin
+        # number of standard errors of the mean that must fit into the margin
         certainty = NormalDist().inv_cdf(1.0 - 0.5 * self.INTERRUPTED / max(self._dwell, 1))
         averaged = math.ceil((certainty * noise.sensor / self._inner) ** 2) if noise.sensor > 0.0 else 1
         self.averaged = min(max(averaged, 1), self.LONGEST)
@@ -349,7 +351,7 @@ class Readiness:
         else:
             self._missing += 1
             if self._missing <= self._gap:
-                self._inside += 1  # the dwell time consists of measurements
+                self._inside += 1  # the dwell time counts only samples with a measurement
                 return self.ready
             window.clear()
             self._sum = 0.0
@@ -400,7 +402,7 @@ class Tolerances:
     path: float = math.inf
 
 
-#: Outcomes of a move that follow from the outcome of its trajectory.
+#: Outcomes of a move that follow directly from the outcome of its trajectory.
 _ENDINGS = {
     REPLACED: (Ending.REPLACED, "another trajectory or a setpoint has taken its place"),
     HELD: (Ending.CANCELLED, "the motion was stopped and the axis keeps its position"),
@@ -424,7 +426,7 @@ class Move:
         self._ended = math.nan
 
     def look(self, time: float, trajectory: tuple[int, int], error: float) -> tuple[Ending, str] | None:
-        """Evaluate a sample; return the outcome of the move and the reason as text, None while it continues.
+        """Evaluate a sample; return the outcome of the move and the reason as text, or None while the move continues.
 
         Parameters
         ----------

@@ -7,19 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Motions made of polynomials: straight lines, turns from one velocity to its opposite, steps between two velocities.
+"""Motions composed of polynomials: straight lines, turns from a velocity to its opposite, and steps.
 
 Let T be the duration of a piece, τ the time since it began, and s = τ/T. A *turn* from the velocity V to −V is
 
-- of minimum jerk: p = V T (s − 2 s³ + s⁴). Its acceleration is 12 V/T · s (s − 1), at most 3 V/T, its jerk at most
-  12 V/T², and it overshoots its ends by 5/16 V T;
-- parabolic: p = V T (s − s²). Its acceleration is constant, 2 V/T, and jumps at both ends; it overshoots by V T/4.
+- of minimum jerk: p = V T (s − 2 s³ + s⁴). Its acceleration is 12 V/T · s (s − 1), with a magnitude of at most 3 V/T;
+  its jerk is at most 12 V/T²; and it overshoots its ends by 5/16 V T;
+- parabolic: p = V T (s − s²). Its acceleration has the constant magnitude 2 V/T and jumps at both ends; it overshoots
+by V T/4.
 
 A *step* by D is added to a motion at constant velocity. It is
 
 - of minimum jerk (Flash and Hogan 1985, doi 10.1523/JNEUROSCI.05-07-01688.1985): p = D (10 s³ − 15 s⁴ + 6 s⁵), with a
   velocity up to 15/8 D/T, an acceleration up to 10/√3 D/T² and a jerk up to 60 D/T³;
-- parabolic: the first half with the acceleration 4 D/T², the second half with −4 D/T².
+- parabolic, with the acceleration 4 D/T² in the first half and −4 D/T² in the second half.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ import numpy as np
 LAWS = ("minimum_jerk", "parabolic")
 #: Instants that are closer than this fraction of the whole duration count as one.
 TOGETHER = 1e-12
-#: A term smaller than this fraction of the largest one is a rounding error, for instance of the cosine of a right
+#: A term smaller than this fraction of the largest term is a rounding error, for example of the cosine of a right
 #: angle.
 NOTHING = 1e-14
 #: Largest degree of a polynomial here.
@@ -38,14 +39,14 @@ DEGREE = 5
 
 
 def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
-    """Return the coefficients of the same polynomial for a time that begins ``delay`` later.
+    """Return the coefficients of the same polynomial for a time whose zero is ``delay`` later.
 
     Parameters
     ----------
     coefficients : ndarray, shape (DEGREE + 1,)
         Coefficients of the ascending powers of the time.
     delay : float
-        Value of the given time at which the new time is 0.
+        Value of the original time at which the new time is 0.
     """
     moved = np.zeros_like(coefficients)
     rest = coefficients.copy()
@@ -58,7 +59,7 @@ def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
 
 
 class Builder:
-    """Collects the pieces of one coordinate; each begins where the one before it ends.
+    """Collector of the pieces of one coordinate; each piece begins where the previous one ends.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ class Builder:
             self.position += velocity * duration
 
     def turn(self, duration: float, velocity: float) -> None:
-        """Turn from a velocity to its opposite; the turn ends at the position where it began.
+        """Turn from a velocity to its opposite; the turn ends at the position at which it began.
 
         Parameters
         ----------
@@ -102,7 +103,7 @@ class Builder:
             self._add(duration, velocity, 0.0, -2.0 * velocity / duration**2, velocity / duration**3)
 
     def step(self, duration: float, size: float, velocity: float = 0.0) -> None:
-        """Step by ``size``, added to a motion at a constant velocity.
+        """Step by ``size``, in addition to a motion at a constant velocity.
 
         Parameters
         ----------
@@ -134,7 +135,7 @@ class Pieces:
     knots : ndarray, shape (P + 1,)
         Instants at which the pieces begin, and the instant at which the last one ends.
     coefficients : ndarray, shape (P, D, M)
-        Coefficients of the ascending powers of the time since the piece began, for each of M coordinates.
+        Coefficients of the ascending powers of the time since the beginning of the piece, for each of M coordinates.
     """
 
     def __init__(self, knots: np.ndarray, coefficients: np.ndarray):
@@ -145,7 +146,7 @@ class Pieces:
             self._orders.append(last[:, 1:] * np.arange(1.0, last.shape[1])[None, :, None])
 
     def __call__(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return a derivative, shape (M, N), at instants within the knots, shape (N,)."""
+        """Return the motion or a derivative, shape (M, N), at instants within the knots, shape (N,)."""
         rows = self._orders[order]
         piece = np.clip(np.searchsorted(self.knots, time, "right") - 1, 0, len(rows) - 1)
         tau = time - self.knots[piece]
@@ -156,7 +157,7 @@ class Pieces:
 
     @staticmethod
     def together(motions: list[Pieces]) -> Pieces:
-        """Return one motion from several coordinates of the same duration.
+        """Return one motion of several coordinates from motions of the same duration, one for each coordinate.
 
         Parameters
         ----------
@@ -176,7 +177,7 @@ class Pieces:
         return Pieces(knots, rows)
 
     def range(self, matrix: np.ndarray, order: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest value of combinations of the coordinates, or of their derivatives.
+        """Return the lowest and the highest value of linear combinations of the coordinates, or of their derivatives.
 
         Parameters
         ----------
@@ -203,7 +204,7 @@ class Pieces:
 
 
 def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
-    """Return where polynomials may have extremes, shape (P, K): both ends, and zeros of the derivative."""
+    """Return the times at which polynomials may have extremes, shape (P, K): both ends, and zeros of the derivative."""
     count = len(steep)
     ends = np.stack([np.zeros(count), durations], axis=1)
     scaled = steep * durations[:, None] ** np.arange(steep.shape[1])
@@ -217,7 +218,7 @@ def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
     found = np.zeros((count, max(2, steep.shape[1] - 1)))
     found[:, :2] = np.where(np.isfinite(roots), roots, 0.0)
     if high.size:
-        # the lines of a raster are equal, so each kind is computed only once
+        # the lines of a raster are equal, so the computation is done only once for each kind
         kinds, which = np.unique(scaled[high], axis=0, return_inverse=True)
         table = np.zeros((len(kinds), found.shape[1]))
         for row, kind in zip(table, kinds, strict=True):

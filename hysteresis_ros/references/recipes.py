@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations for identification: recipes, transitions between levels, waveforms from text, and axes that play them.
+"""Excitations for identification: recipes, transitions between levels, waveforms from text, and axes that apply them.
 
 Amplitudes and offsets are voltages here. An axis in open loop without inverse outputs reference / gain [V], so
 :func:`in_metres` converts a recipe to a waveform in metres for the reference generator.
@@ -29,12 +29,12 @@ from hysteresis_ros.references.declaration import PREFIX
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Duration of a transition between two levels, and of the pause before the measurement [s].
+#: Duration of a transition between two levels, and of the pause before and after the measurement [s].
 WAY, REST = 0.5, 0.5
 
 
 def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a half-cosine transition, which begins and ends at rest; ``begin`` itself is not one of its samples.
+    """Return a half-cosine transition that begins and ends at rest; ``begin`` itself is not one of its samples.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def hold(level: float, seconds: float, rate: float) -> np.ndarray:
 
 
 def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
-    """Return samples [V] or [m], shape (N,), with transitions from and to the value ``safe`` at their ends.
+    """Return the samples ``middle`` [V] or [m], shape (N,), with transitions from and to ``safe`` at their ends.
 
     Units: ``rate`` [Hz].
     """
@@ -71,32 +71,33 @@ def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([*parts, hold(safe, REST, rate)])
 
 
-#: Number of peaks of the triangles, and of levels of the steps.
+#: Number of peaks of the recipe ``triangles``, and number of levels of the recipe ``steps``.
 PEAKS = 20
-#: Numbers of cycles of the decaying recipe: over the whole range; decaying; until the amplitude has fallen to 1/e.
+#: Recipe ``decaying``: number of cycles over the whole range, number of decaying cycles, and number of cycles after
+#: which the amplitude has fallen to 1/e.
 WHOLE_CYCLES, DECAYING_CYCLES, DECAY_CYCLES = 2, 20, 5.0
 LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
 #: Peak of small excitations as a fraction of the range; large excitations use the whole range.
 SMALL = 0.1
-#: Highest frequency that can be requested, as a fraction of the sample rate.
+#: Highest frequency that may be requested, as a fraction of the sample rate.
 HIGHEST = 0.2
-#: Multisine and chirp excite up to this fraction of the sample rate. Above the excited frequencies a design has to
-#: assume a resonance, which limits the bandwidth of a feedback that has gain there.
+#: Multisine and chirp excite up to this fraction of the sample rate. Above the excited frequencies, a design must
+#: assume a resonance, which limits the bandwidth of any feedback that has gain there.
 EXCITED = 0.48
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """A recipe for one range of voltage.
+    """An excitation that a recipe gives for a range of voltage.
 
     Parameters
     ----------
     waveform : dict
-        Parameters of the waveform, flat; amplitudes and levels in V.
+        Flat parameters of the waveform; amplitudes and levels in V.
     duration : float
         [s]
     samples : ndarray or None
-        Voltages [V], sample by sample, if no waveform of the generator can play the recipe (type ``file``).
+        Voltages [V] of all samples if no waveform of the generator can play the recipe (type ``file``); else None.
     """
 
     waveform: dict
@@ -106,7 +107,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class _Asked:
-    """Inputs of a recipe: range of the amplifier [V], the fraction of it to use, sample rate [Hz], and options."""
+    """Inputs of a recipe: range of the amplifier [V], fraction of this range to use, sample rate [Hz], and options."""
 
     low: float
     high: float
@@ -136,7 +137,7 @@ def _triangles(asked: _Asked) -> Excitation:
     highest = asked.high * asked.amplitude
     peaks = highest * np.arange(1, PEAKS + 1) / PEAKS
     one = np.concatenate([rise, 1.0 - rise])
-    # the largest loop twice: the first begins on the virgin curve, the second is closed
+    # the largest loop is run twice: the first run begins on the virgin curve, the second one is a closed loop
     volts = np.concatenate([[0.0], *(peak * one for peak in (*peaks, highest))])
     return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
 
@@ -144,7 +145,7 @@ def _triangles(asked: _Asked) -> Excitation:
 def _decaying(asked: _Asked) -> Excitation:
     cycle = max(round(asked.sample_rate / (asked.frequency or asked.sample_rate / 500.0)), 8)
     index = np.arange(WHOLE_CYCLES * cycle + DECAYING_CYCLES * cycle + 1)
-    # stay at 0 V first, then begin at the low end
+    # the voltage first stays at 0 V, then begins at the low end
     fall = np.exp(-np.maximum(index - WHOLE_CYCLES * cycle, 0) / (DECAY_CYCLES * cycle))
     volts = asked.middle - asked.half * asked.amplitude * fall * np.cos(2.0 * np.pi * index / cycle)
     return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
@@ -202,7 +203,7 @@ class Recipe:
     words : str
         Description and purpose.
     make : callable
-        Function that returns its :class:`Excitation`.
+        Function that returns the recipe's :class:`Excitation`.
     small : bool
         Whether the recipe uses a small fraction of the range by default.
     """
@@ -212,7 +213,7 @@ class Recipe:
     small: bool = False
 
 
-#: The recipes by name.
+#: The recipes, by name.
 RECIPES = {
     "triangles": Recipe(
         "triangles whose peak grows in equal steps up to the end of the range: loop models", _triangles
@@ -251,11 +252,12 @@ def recipe(
     sample_rate : float
         [Hz]
     frequency : float, optional
-        Frequency of triangles and decaying, line spacing of the multisine, lowest frequency of the chirp [Hz].
+        Frequency of triangles and decaying cycles, line spacing of the multisine, or lowest frequency of the chirp
+        [Hz].
     amplitude : float
         Factor on the default amplitude of the recipe: 0 … 1, or up to 10 for recipes with a small amplitude.
     duration : float, optional
-        Duration [s]. For ``triangles`` and ``decaying`` it follows from the frequency; a longer run holds the last
+        Duration [s]. For ``triangles`` and ``decaying`` it is determined by the frequency; a longer run holds the last
         value.
 
     Raises
@@ -280,7 +282,7 @@ def recipe(
 
 
 def in_metres(excitation: Excitation, gain: float) -> dict:
-    """Return the waveform's parameters in SI for an axis whose voltage is reference / ``gain`` [m/V]."""
+    """Return the waveform's parameters in SI units for an axis whose voltage is reference / ``gain`` [m/V]."""
     lengths = {row.name for row in WaveformParameters.table() if row.unit == "m"}
     scaled = {}
     for name, value in excitation.waveform.items():
@@ -291,18 +293,18 @@ def in_metres(excitation: Excitation, gain: float) -> dict:
 
 
 def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = None) -> dict[str, Any]:
-    """Return all parameters of a waveform, with defaults for those not given.
+    """Return all parameters of a waveform; parameters that are not given have their defaults.
 
     Parameters
     ----------
     kind : str
         One of :data:`~hysteresis_ros.references.waveforms.WAVEFORMS`.
     given : mapping of str to str
-        Text of each parameter. The waveform's own parameters may be given by their short names, ``values`` for
-        ``steps.values``. Numbers have units or are in SI; commas separate the elements of lists.
+        Text of each parameter. Parameters that only this waveform has may be given by their short names, such as
+        ``values`` for ``steps.values``. Numbers have units or are in SI units; commas separate the elements of lists.
     gain : float, optional
-        Gain of an axis in open loop without inverse [m/V]. If it is given, lengths may also be voltages, and must have
-        a unit.
+        Gain of an axis in open loop without inverse [m/V]. If the gain is given, lengths may also be voltages, and must
+        have a unit.
 
     Raises
     ------
@@ -383,12 +385,12 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
 def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> Any:
     """Return the value of a parameter's text, in the type of the parameter.
 
-    The text is a number with its unit or in SI, several separated by commas for an array, a choice, or a path. With
-    ``gain``, that of an axis in open loop without inverse [m/V], lengths may be given as voltages. ValueError: the text
-    is not a value of the parameter; the message states what is allowed.
+    The text is a number with its unit or in SI units, several such numbers separated by commas for an array, a choice,
+    or a path. If ``gain`` of an axis in open loop without inverse [m/V] is given, lengths may be voltages. ValueError:
+    the text is not a value of the parameter; the message states what is allowed.
     """
     if row.type is str:
-        # absolute, because nodes may run in another folder
+        # the path is absolute, because nodes may run in another folder
         value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text
     elif row.type is int:
         try:
@@ -426,8 +428,8 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     return [number * allowed[unit] for number, unit in found]
 
 
-#: Parameters of the motion controller for measurements: UNFED switches the feedforward off, PLAYED the learning. OPEN
-#: passes on the reference unchanged.
+#: Parameters of the motion controller for measurements: UNFED switches the feedforward off, PLAYED the learning; OPEN
+#: outputs the reference unchanged.
 UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
 OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
@@ -435,8 +437,8 @@ OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 def write_samples(path, reference, sample_rate: float, **further) -> str:
     """Write a reference [m], shape (N,), for a waveform of type ``file``; return the path of the ``.npz`` file.
 
-    The path is absolute, and its folder is created; ``further`` are further arrays of the file. Units: ``sample_rate``
-    [Hz]. ConfigurationError: the file cannot be written.
+    The path is absolute, and its folder is created. ``further`` contains additional arrays for the file. Units:
+    ``sample_rate`` [Hz]. ConfigurationError: the file cannot be written.
     """
     path = pathlib.Path(path).resolve()
     try:
@@ -448,7 +450,7 @@ def write_samples(path, reference, sample_rate: float, **further) -> str:
 
 
 def driven(configuration: Configuration, limits: LimitsParameters, gain: float, waveform: dict) -> Configuration:
-    """Return the configuration in open loop without inverse, with this waveform.
+    """Return the configuration with the axis in open loop without inverse, and with this waveform.
 
     Parameters
     ----------
@@ -458,7 +460,7 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
     gain : float
         Gain of the compensator without inverse [m/V].
     waveform : dict
-        Parameters of the waveform, flat [m]; they replace those of the configuration.
+        Flat parameters of the waveform [m]; they replace those of the configuration.
     """
     plain = {
         "cycles": 0,
@@ -493,7 +495,7 @@ def following(configuration: Configuration, path: str, rest: float = 0.0) -> Con
     path : str
         Path that :func:`write_samples` returned.
     rest : float
-        Setpoint at which the axis begins [m]; the samples are absolute positions, not relative to it.
+        Setpoint at which the axis begins [m]; the samples are absolute positions, not relative to this setpoint.
     """
     values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": -rest, "file.path": path, "file.column": "reference"}
     configuration = configuration.override(

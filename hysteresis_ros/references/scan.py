@@ -9,16 +9,16 @@
 
 """Scans of a plane: the path of several axes in closed form, its limits, its line and pixel clock, its harmonics.
 
-A scan is a frozen dataclass of parameters derived from :class:`Scan`; each file in ``scans/`` contains one. The path is
-a function of the number of frames s = frame rate · time, in coordinates (u, v) of the plane: u along the lines, v
-across them. A rotation, a shift and a tilt convert it to the axes::
+A scan is a frozen dataclass of parameters, derived from :class:`Scan`; each file in ``scans/`` contains one scan. The
+path is a function of the number of frames s = frame rate · time, in coordinates (u, v) of the plane: u along the lines,
+v across them. A rotation, a shift and a tilt convert it to the axes::
 
     x = centre_x + u cos φ − v sin φ
     y = centre_y + u sin φ + v cos φ
     z = slope_x x + slope_y y + height            (with three axes)
 
-So velocity, acceleration and jerk are proportional to the frame rate, its square and its cube, and the frame rate that
-an axis allows follows without a search.
+Therefore velocity, acceleration and jerk are proportional to the frame rate, its square and its cube. The frame rate
+that the limits of an axis allow is computed without a search.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from hysteresis_ros.units import readable
 #: Names of the axes; then name and SI unit of the position and of each derivative.
 AXES = ("x", "y", "z")
 ORDERS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"), ("jerk", "m/s³"))
-#: An instant that precedes a pixel by less than this fraction of the pixel's duration belongs to the pixel.
+#: An instant that precedes a pixel by less than this fraction of the pixel's duration counts as part of the pixel.
 EDGE = 1e-6
 #: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
-#: Numbers of points from which harmonics are computed: desired and least number per pass, then the usual bounds per
-#: period.
+#: Number of points from which harmonics are computed: for each pass, the desired and the smallest number; for each
+#: period, the bounds that usually apply.
 POINTS, FEW_POINTS = 1024, 64
 LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
-#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The motion above it has 1 % of the total RMS.
+#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The remaining motion has 1 % of the total RMS.
 OCCUPIED = 0.9999
 
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """The passes of a period in their order. A pass is a part of the path, along one line, on which data are taken.
+    """The passes of a period in order of time. A pass is a part of the path, along one line, on which data are taken.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ class Clock:
     frame : ndarray, shape (N,)
         Number of the frame, from 0.
     line, pixel : ndarray, shape (N,)
-        Number of the line within the frame and of the pixel within the line, -1 between lines. Pixels are numbered in
-        the direction of a trace, so a retrace begins at the last one.
+        Number of the line within the frame, and of the pixel within the line; -1 between lines. Pixels are numbered in
+        the direction of a trace, so a retrace begins at the last pixel.
     direction : ndarray, shape (N,)
         1: trace, -1: retrace, 0: between lines.
     """
@@ -100,13 +100,13 @@ class Marks:
     Parameters
     ----------
     time : ndarray, shape (K,)
-        Exact instants, from the equation of the path [s].
+        Exact instants, computed from the equation of the path [s].
     sample : ndarray, shape (K,)
         The first sample at or after each instant.
     place : ndarray, shape (K,)
-        The instant as a sample number with a fraction: 17.25 is a quarter of the way from sample 17 to sample 18.
+        The instant as a sample number with a fraction: 17.25 is a quarter of a sample time after sample 17.
     frame, line, pixel, direction : ndarray, shape (K,)
-        The frame, line or pixel that begins, as in :class:`Clock`; -1 (direction: 0) where it does not apply.
+        The frame, line or pixel that begins, as in :class:`Clock`; -1 (direction: 0) for items that do not apply.
     """
 
     time: np.ndarray
@@ -128,7 +128,7 @@ class Harmonics(NamedTuple):
 
 @dataclass(frozen=True)
 class Scan(Parameters, abc.ABC):
-    """Parameters that all scans share, and results that follow from the path.
+    """Parameters that all scans share, and quantities that are computed from the path.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Scan(Parameters, abc.ABC):
             if self.axes == 2 and getattr(self, name) != 0.0:
                 yield Problem(name, getattr(self, name), "belongs to a third axis; set axes = 3, or leave it out")
 
-    # defined by each scan, in numbers of frames and in coordinates of the plane
+    # each scan defines the following, in numbers of frames and in coordinates of the plane
 
     @property
     @abc.abstractmethod
@@ -176,12 +176,12 @@ class Scan(Parameters, abc.ABC):
     @property
     @abc.abstractmethod
     def size(self) -> float:
-        """Diameter, or length of the longer side [m]; errors are given in % of it."""
+        """Diameter, or length of the longer side [m]; errors are stated in % of this size."""
 
     @property
     @abc.abstractmethod
     def gap(self) -> float:
-        """Largest distance between neighbouring lines [m]: the resolution."""
+        """Largest distance between neighbouring lines [m], which is the resolution."""
 
     @abc.abstractmethod
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
@@ -214,7 +214,7 @@ class Scan(Parameters, abc.ABC):
         Returns
         -------
         low, high : ndarray, shape (A,)
-            Bounds that are never exceeded; infinite if the derivative does not exist everywhere.
+            Bounds that are never exceeded; infinite if the derivative jumps or does not exist.
         """
 
     @property
@@ -224,7 +224,7 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def constant_share(self) -> float:
-        """Fraction of the time of a frame in which data are taken at a constant velocity along the line."""
+        """Fraction of a frame's time in which data are taken at a constant velocity along the line."""
         return 0.0
 
     @property
@@ -232,7 +232,7 @@ class Scan(Parameters, abc.ABC):
         """Whether v is constant, or drifts slowly, while a line is scanned along u."""
         return False
 
-    # derived from these definitions
+    # the following is computed from these definitions
 
     @property
     def rate(self) -> float:
@@ -274,7 +274,7 @@ class Scan(Parameters, abc.ABC):
         Parameters
         ----------
         time : array_like, shape (N,)
-            Time since the beginning [s]; the scan repeats before and after.
+            Time since the beginning [s]; the scan also repeats before the beginning.
         order : int
             0 … 3.
 
@@ -290,7 +290,7 @@ class Scan(Parameters, abc.ABC):
         """
         self.validated()
         frames = np.atleast_1d(np.asarray(time, dtype=np.float64)) * self.rate
-        # the loop follows it, so its bits must not depend on the processor
+        # the loop follows these values, so their bits must not depend on the processor
         path = product(self.matrix, self.plane(np.mod(frames, self.frames_per_period), order)) * self.rate**order
         return path + self.centre[:, None] if order == 0 else path
 
@@ -400,7 +400,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def _series(self) -> tuple[np.ndarray, np.ndarray]:
-        """Complex amplitudes of the period's harmonics, shape (axes, K), harmonic 0 set to 0; and the mean."""
+        """Complex amplitudes of the period's harmonics, shape (axes, K), with harmonic 0 set to 0; and the mean."""
         passes = len(self.passes.begin)
         wanted = max(min(max(LEAST_POINTS, POINTS * passes), MOST_POINTS), FEW_POINTS * passes)
         count = 1 << math.ceil(math.log2(wanted))
@@ -419,7 +419,7 @@ class ScanShape:
     Parameters
     ----------
     name : str
-        Name by which the scan is chosen.
+        Name under which the scan is chosen.
     parameters : type of Scan
         Class of the scan.
     summary : str
@@ -438,13 +438,13 @@ def harmonics(scan: Scan, count: int) -> Harmonics:
     ----------
     scan : Scan
     count : int
-        Number of harmonics; all others have a smaller norm over the axes.
+        Number of harmonics; all other harmonics have a smaller norm over the axes.
 
     Returns
     -------
     Harmonics
-        In the order of their frequencies, which are multiples of 1 / period. Fewer than ``count`` if the scan has
-        fewer: a Lissajous scan has two.
+        Harmonics in order of frequency; the frequencies are multiples of 1 / period. There are fewer than ``count`` if
+        the scan has fewer: a Lissajous scan has two.
 
     Raises
     ------
@@ -490,7 +490,7 @@ class ScanLimits(Parameters):
     )
 
     def of_axes(self, name: str, axes: int) -> np.ndarray:
-        """Return a limit for each axis; infinite: unlimited.
+        """Return a limit for each axis; infinite if the axis is unlimited.
 
         Parameters
         ----------
@@ -520,18 +520,18 @@ class ScanLimits(Parameters):
 
 
 def largest_frame_rate(scan: Scan, limits: ScanLimits) -> float:
-    """Return the largest frame rate at which a scan keeps the limits of velocity, acceleration, jerk and bandwidth.
+    """Return the largest frame rate at which a scan keeps its limits of velocity, acceleration, jerk and bandwidth.
 
     Parameters
     ----------
     scan : Scan
-        The scan; its own frame rate is not used.
+        The scan; its frame rate has no effect.
     limits : ScanLimits
 
     Returns
     -------
     float
-        [Hz]; infinite if nothing limits it, 0 if the jerk is limited and the acceleration of the scan jumps.
+        [Hz]; infinite without limits; 0 if the jerk is limited and the acceleration of the scan jumps.
 
     Raises
     ------
@@ -550,10 +550,10 @@ def largest_frame_rate(scan: Scan, limits: ScanLimits) -> float:
 
 
 def check_limits(scan: Scan, limits: ScanLimits) -> None:
-    """Raise ParameterError for a scan that its axes cannot follow.
+    """Raise ParameterError if the axes cannot follow a scan.
 
-    An axis leaves its range or exceeds a limit. The message names each such axis, by how much, and the allowed frame
-    rate.
+    This is the case if an axis leaves its range or exceeds a limit. The message states for each such axis by how much,
+    and the allowed frame rate.
     """
     found = [*_beyond_range(scan, limits)]
     best = largest_frame_rate(scan, limits)
@@ -569,7 +569,7 @@ def check_limits(scan: Scan, limits: ScanLimits) -> None:
 
 
 def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
-    """Yield a Problem for each axis whose range a scan exceeds, at one end or at both."""
+    """Yield a Problem for each axis that leaves its range during a scan, at one end or at both."""
     lowest, highest = scan.extent()
     low, high = limits.of_axes("low", scan.axes), limits.of_axes("high", scan.axes)
     for axis in range(scan.axes):
@@ -594,7 +594,7 @@ def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
 
 
 def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
-    """Yield a text for each exceeded limit of motion, with the ratio."""
+    """Yield a text for each limit of motion that is exceeded, with the ratio of the motion to the limit."""
     for order, (name, unit) in enumerate(ORDERS[1:], start=1):
         allowed = limits.of_axes(name, scan.axes)
         for axis, peak, limit in zip(AXES, scan.peak(order), allowed, strict=False):
@@ -606,7 +606,7 @@ def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
 
 
 def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number rounded down to significant digits, so that the printed number is allowed."""
+    """Return a positive number rounded down to significant digits, so that the number that is printed is allowed."""
     if not 0.0 < value < math.inf:
         return value
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
@@ -622,13 +622,13 @@ def frame_marks(scan: Scan, time: np.ndarray) -> Marks:
 
 
 def line_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return the beginnings of lines within a recording, of traces and of retraces.
+    """Return the beginnings of lines within a recording, both of traces and of retraces.
 
     Parameters
     ----------
     scan : Scan
     time : ndarray, shape (N,)
-        Instants of the samples since the scan began, increasing [s].
+        Instants of the samples [s], counted from the beginning of the scan, increasing.
 
     Returns
     -------
@@ -653,12 +653,12 @@ def _frame(frames: np.ndarray) -> np.ndarray:
 
 
 def _whole(first: float, last: float, step: int) -> tuple[int, int]:
-    """Return the numbers of the first and last period that touch an interval."""
+    """Return the number of the first period that overlaps an interval, and one plus the number of the last one."""
     return math.floor(first / step), math.floor(last / step) + 1
 
 
 def _passes_within(scan: Scan, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return begin and duration [frames], line and direction of all passes of the periods that a recording touches."""
+    """Return begin and duration [frames], line and direction of all passes in the periods that overlap a recording."""
     scan.validated()
     passes, period = scan.passes, scan.frames_per_period
     first, last = _whole(time[0] * scan.rate, time[-1] * scan.rate, period)

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The clock of a scan in a loop: which frames, lines and pixels begin at which sample of its waveform.
+"""The clock of a scan in a loop: which frames, lines and pixels begin at which sample of the scan's waveform.
 
-A period of a path is a fraction of whole samples, so the place of each sample within the period is exact for any
-number of samples. An edge between two samples belongs to the later sample.
+A period of a path in samples is a fraction of whole numbers, so that the position of each sample within the period is
+exact for any number of samples. An edge between two samples belongs to the later one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.references.scan import EDGE, Marks, Scan, frame_marks, line_marks, pixel_marks
 from hysteresis_ros.signals import Edge
 
-#: Largest number of periods of a path that together are a whole number of samples, and the largest distance of the end
-#: of a path from a sample [samples].
+#: Largest number of periods of a path that together may be a whole number of samples, and largest distance between the
+#: end of a path and a sample [samples].
 MOST_PERIODS, WHOLE = 1000, 1e-6
-#: Levels of a clock: each contains the coarser ones.
+#: Levels of a clock; each level includes the coarser ones.
 LEVELS = ("none", "frame", "line", "pixel")
 _MARKS = {Edge.FRAME: frame_marks, Edge.LINE: line_marks, Edge.PIXEL: pixel_marks}
 
@@ -42,7 +42,7 @@ def samples_of_period(period: float, sample_time: float) -> Fraction:
 
 
 def end_of(periods: int, period: float, sample_time: float) -> int:
-    """Return the first sample after a number of periods of a path; 0: a path without end.
+    """Return the first sample after a number of periods of a path; 0 if the path has no end.
 
     Units: ``period``, ``sample_time`` [s].
     """
@@ -58,9 +58,9 @@ class ScanClock:
     sample_time : float
         [s]
     level : str
-        Finest of ``frame``, ``line`` and ``pixel``; coarser levels are included. ``none``: nothing.
+        Finest of ``frame``, ``line`` and ``pixel``; coarser levels are included. With ``none`` there are no edges.
     periods : int, optional
-        Periods of the path, after which nothing begins; 0: without end.
+        Number of periods of the path, after which nothing begins; 0: without end.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class ScanClock:
     Raises
     ------
     ParameterError
-        The level does not exist, or the scan is wrong.
+        There is no such level, or the scan is invalid.
 
     Examples
     --------
@@ -90,10 +90,11 @@ class ScanClock:
         self._period = samples_of_period(scan.period, sample_time)
         self._frames = scan.frames_per_period
         self._end = end_of(periods, scan.period, sample_time)
-        #: Frame, line, pixel and direction of all marks of a period, shape (M, 4), and their places [samples].
+        #: Frame, line, pixel and direction of all marks of a period, shape (M, 4), and the positions of the marks
+        #: [samples].
         self._rows, self._places = np.zeros((0, 4), dtype=np.int64), np.zeros(0)
         self._of_level: dict[Edge, np.ndarray] = {}
-        # the marks of the period itself; the last instant belongs to the next one
+        # the marks of the period itself; the last instant belongs to the next period
         span = np.array([0.0, scan.period])
         for edge in tuple(Edge)[: LEVELS.index(level)]:
             marks = _MARKS[edge](scan, span)
@@ -101,14 +102,14 @@ class ScanClock:
             places = self._of_level[edge] = marks.time[inside] / sample_time
             rows = np.column_stack([marks.frame, marks.line, marks.pixel, marks.direction])[inside]
             self._rows, self._places = np.vstack([self._rows, rows]), np.concatenate([self._places, places])
-        # in the order of time; at one instant a frame begins before its line, and a line before its pixel
+        # in order of time; at the same instant, a frame begins before its line, and a line before its pixel
         order = np.argsort(self._places, kind="stable")
         self._rows, self._places = self._rows[order], self._places[order]
 
     def _counts(self, samples: ArrayLike, places: np.ndarray, end: int) -> np.ndarray:
-        """Return how many of the marks at ``places`` of each period have begun up to each of these samples.
+        """Return how many of the marks at ``places`` in each period have begun up to each of the ``samples``.
 
-        From sample ``end`` on nothing begins; 0: there is no end.
+        From sample ``end`` on, nothing begins; 0: there is no end.
         """
         k = np.asarray(samples, dtype=np.int64)
         if end:
@@ -120,7 +121,7 @@ class ScanClock:
         return np.where(k < 0, 0, (repeated * denominator + period) * places.size + begun)
 
     def _marks(self, first: int, last: int) -> Marks:
-        """Return the marks with these numbers, ``last`` excluded, counted from the beginning of the waveform."""
+        """Return the marks with the numbers ``first`` … ``last`` - 1, counted from the beginning of the waveform."""
         period, index = np.divmod(np.arange(first, last), max(self._places.size, 1))
         whole, part = np.divmod(period * self._period.numerator, self._period.denominator)
         begun = part / self._period.denominator + self._places[index]
@@ -130,17 +131,18 @@ class ScanClock:
         return Marks(place * self.sample_time, sample, place, frame + period * self._frames, line, pixel, direction)
 
     def between(self, after: int, until: int) -> Marks:
-        """Return the edges after one sample of the waveform, up to another sample.
+        """Return the edges after one sample of the waveform, up to and including another sample.
 
         Parameters
         ----------
         after, until : int
-            Numbers of samples since the waveform began; -1: before its beginning.
+            Numbers of samples, counted from the beginning of the waveform; -1: before the beginning.
 
         Returns
         -------
         Marks
-            In the order of time; ``sample`` and ``place`` count the samples of the waveform, ``time`` its seconds.
+            In order of time; ``sample`` and ``place`` count samples, and ``time`` seconds, from the beginning of the
+            waveform.
         """
         return self._marks(*map(int, self._counts([after, until], self._places, self._end)))
 
@@ -158,7 +160,7 @@ class ScanClock:
         return math.inf if self._end and found >= self._end else found
 
     def of_level(self, edge: Edge) -> np.ndarray:
-        """Return the positions [samples] of the edges of a level in a period, and of the first edge of the next period.
+        """Return the positions [samples] of a level's edges in a period, and of the first edge in the next period.
 
         Parameters
         ----------
@@ -168,12 +170,12 @@ class ScanClock:
         return np.append(places, places[0] + float(self._period))
 
     def delays(self, edge: Edge) -> np.ndarray:
-        """Return the time from the exact edge to its sample [s] for each sample, for the loop; shape (N,).
+        """Return for each sample the time from the exact edge to the sample [s], for the loop; shape (N,).
 
         Parameters
         ----------
         edge : Edge
-            Level. N is that of :meth:`edges`; where nothing begins, the time is 0.
+            Level. N is the same as for :meth:`edges`; the time is 0 for samples at which nothing begins.
         """
         samples, periods = self._period.numerator, self._period.denominator
         starts = [Fraction(number * samples, periods) for number in range(periods)]
@@ -188,8 +190,8 @@ class ScanClock:
     def edges(self) -> np.ndarray:
         """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N,).
 
-        N is the number of samples after which the path repeats: sample k has the bits of sample k mod N. The end of the
-        scan is not in them.
+        N is the number of samples after which the path repeats: sample k has the bits of sample k mod N. The bits do
+        not contain the end of the scan.
         """
         samples = np.arange(-1, self._period.numerator)
         found = np.zeros(samples.size - 1)

@@ -9,12 +9,12 @@
 
 """Trajectories through points: they replace the approach, from rest or during a motion.
 
-Between two points the path is a polynomial of the time. Its degree is chosen as in ``joint_trajectory_controller`` of
+Between two points, the path is a polynomial in time. Its degree is chosen as in ``joint_trajectory_controller`` of
 ros2_controllers: a line for positions alone, a cubic with velocities, a quintic with accelerations. The first segment
-begins with position, velocity and acceleration of the previous sample, so that a trajectory continues the motion that
-it replaces.
+begins with the position, velocity and acceleration of the previous sample, so that a trajectory continues the motion
+that it replaces.
 
-The whole state is one array of fixed size, which nodes, fused loop and offline twin replace between two samples.
+The whole state is one array of fixed size; nodes, fused loop and offline simulation replace it between two samples.
 """
 
 from __future__ import annotations
@@ -28,30 +28,31 @@ from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import kernel
 
-#: Parameters: SMOOTH is 1 when the approach is limited, so that its velocity is that of the motion; DECELERATION 0:
-#: stop within one sample.
+#: Parameters: SMOOTH is 1 if the approach has limits, so that its velocity is that of the motion. DECELERATION 0: stop
+#: within one sample.
 SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 
-#: State: ACTIVE is one of the codes below; PENDING 1: accepted, but no sample computed; ELAPSED and LENGTH in samples;
-#: POSITION, VELOCITY, ACCELERATION of the last sample, GIVEN its setpoint; TARGET is the end of the trajectory, which
-#: then replaces the setpoint; AFTER is the setpoint after braking; NUMBER counts trajectories, OUTCOME is the outcome
-#: of the last one. Segments of WIDTH numbers follow.
+#: State: ACTIVE is one of the codes below; PENDING is 1 if a trajectory is accepted but no sample is computed yet;
+#: ELAPSED and LENGTH are in samples; POSITION, VELOCITY and ACCELERATION are those of the last sample, and GIVEN is the
+#: setpoint of that sample; TARGET is the end of the trajectory, which then replaces the setpoint; AFTER is the setpoint
+#: after braking; NUMBER counts the trajectories, and OUTCOME is the outcome of the last one. Segments of WIDTH numbers
+#: follow.
 ACTIVE, PENDING, ELAPSED, LENGTH, SEGMENT, COUNT, POSITION, VELOCITY, ACCELERATION = range(9)
 GIVEN, TARGET, AFTER, NUMBER, OUTCOME = range(9, 14)
 SEGMENTS = 14
 #: Value of TARGET and AFTER for "no position".
 NOWHERE = math.inf
-#: Numbers of a segment: its beginning [s], and the coefficients of the powers of the time since then.
+#: Numbers of a segment: its beginning [s], and the coefficients of the powers of the time since its beginning.
 BEGIN, COEFFICIENTS, WIDTH = 0, 1, 7
 
 #: Codes of ACTIVE.
 IDLE, FOLLOWING, BRAKING = range(3)
-#: Codes of OUTCOME: in progress, completed, replaced by a trajectory or a setpoint, held, stopped with the axis.
+#: Codes of OUTCOME: in progress, completed, replaced by another trajectory or a setpoint, held, stopped with the axis.
 OPEN, ENDED, REPLACED, HELD, STOPPED = range(5)
 
 #: Largest number of points.
 MOST_POINTS = 1000
-#: Number of intervals per segment, at whose ends position, velocity and acceleration are checked.
+#: Number of intervals of a segment; at their ends, position, velocity and acceleration are checked.
 LOOKS = 64
 #: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
@@ -119,7 +120,7 @@ def advance(p, x):
 
 @kernel
 def note_motion(p, x, position, smooth):
-    """Store position, velocity and acceleration of a sample; the latter two are zero for a motion that jumps."""
+    """Store position, velocity and acceleration of a sample; for a motion that jumps, the latter two are zero."""
     velocity, acceleration = 0.0, 0.0
     if smooth != 0.0:
         velocity = (position - x[POSITION]) / p[SAMPLE_TIME]
@@ -129,14 +130,14 @@ def note_motion(p, x, position, smooth):
 
 @kernel
 def brake(p, x, after, outcome):
-    """Bring any motion to rest, within one sample or at the allowed deceleration.
+    """Bring any motion to rest, within one sample or with the allowed deceleration.
 
     Parameters
     ----------
     p, x : ndarray
         Parameters and state of the trajectory.
     after : float
-        Next setpoint [m]; NOWHERE: keep the position.
+        Next setpoint [m]; NOWHERE: the position stays.
     outcome : int
         Outcome of the present trajectory.
     """
@@ -158,7 +159,7 @@ def brake(p, x, after, outcome):
 
 
 def initial_state(position: float) -> np.ndarray:
-    """Return the state at rest at a position [m], with the size of the longest trajectory; shape (N,)."""
+    """Return the state at rest at a position [m], large enough for the longest trajectory; shape (N,)."""
     x = np.zeros(SEGMENTS + WIDTH * MOST_POINTS)
     x[POSITION] = x[GIVEN] = position
     x[TARGET] = x[AFTER] = NOWHERE
@@ -166,7 +167,7 @@ def initial_state(position: float) -> np.ndarray:
 
 
 def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample_time: float) -> None:
-    """Write a path into the state; it begins with the next sample.
+    """Write a path into the state; the path begins with the next sample.
 
     ``segments`` has the shape (N, WIDTH). Units: ``sample_time`` [s].
     """
@@ -194,8 +195,8 @@ class Points:
     Raises
     ------
     ParameterError
-        Lengths differ, a number is not finite, times do not rise, the last velocity is not 0, or there are too many
-        points.
+        The lengths differ, a number is not finite, the times do not increase, the last velocity is not 0, or there are
+        too many points.
     """
 
     def __init__(self, times, positions, velocities=(), accelerations=()):
@@ -238,7 +239,7 @@ class Points:
             raise _refused("times", 0.0, "the last point must be later than 0 s", "s")
 
     def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
-        """Return the segments of the path that continues the present motion, shape (segments, WIDTH).
+        """Return the segments of a path that continues the present motion, shape (segments, WIDTH).
 
         A first point at time 0 states where the sender assumes the axis to be; the path begins at the actual position.
         """
@@ -256,7 +257,7 @@ class Points:
             own[:, 1] = rise
             return made
         own[:, 1] = velocities[:-1]
-        # velocities relative to the straight line; no powers, because C libraries round them differently
+        # velocities relative to the straight line; without powers, because C libraries round them differently
         start, end = velocities[:-1] - rise, velocities[1:] - rise
         if not len(accelerations):
             own[:, 2] = -(2.0 * start + end) / duration
@@ -301,12 +302,12 @@ class Bounds:
         length : float
             Duration of the path [s].
         velocity : float
-            Velocity of the motion before it [m/s].
+            Velocity of the motion before the path [m/s].
 
         Raises
         ------
         ParameterError
-            A limit is exceeded; the message names the time, the value and the limit.
+            A limit is exceeded; the message states the time, the value and the limit.
         """
         ends = np.concatenate([segments[1:, BEGIN], [length]])
         tau = np.linspace(0.0, 1.0, LOOKS + 1)[:, None] * (ends - segments[:, BEGIN])
@@ -336,7 +337,7 @@ class Bounds:
 
 
 def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at="at", remedy="more time") -> None:
-    """Refuse the largest of these values when it is larger than a limit that is not 0."""
+    """Refuse the values if the largest of them exceeds the limit; a limit of 0 does not apply."""
     worst = np.unravel_index(np.argmax(values), values.shape)
     if limit > 0.0 and values[worst] > limit * (1.0 + ROUNDING):
         text = f"{at} {times[worst]:g} s too high, allowed: ≤ {limit:g} {unit}; give {remedy}"
@@ -344,7 +345,7 @@ def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at=
 
 
 def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return N polynomials with these coefficients, shape (degree + 1, N), each at its own M times, shape (M, N)."""
+    """Return N polynomials with ``coefficients``, shape (degree + 1, N), each at M times of its own, shape (M, N)."""
     value = np.zeros_like(tau)
     for row in coefficients[::-1]:
         value = value * tau + row

@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Triggers of an axis: events at positions, at times, or at the frames, lines or pixels of a scan; and a trigger input.
+"""Triggers of an axis: events at positions, times, or beginnings of frames, lines or pixels of a scan; trigger input.
 
-A position is passed between two samples. The instant is that of a cubic through the last four measurements, which needs
-no later measurement. After an event a position is *armed* again when the measurement has been beyond it, on the
-side from which it is approached, by a distance; so noise does not repeat an event. Up and down are armed apart.
+A position is passed between two samples. The instant is computed from a cubic through the last four measurements, so
+that no later measurement is needed. After an event, a position is *armed* again when the measurement has moved away
+from it by a certain distance, on the side from which it is approached, so that noise does not repeat an event. The two
+directions of motion are armed separately.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 #: Largest number of positions or times.
 MOST = 100_000
-#: Distance after which a position is armed again: fraction of the least distance of two positions, and for a single
-#: position of the range.
+#: Distance after which a position is armed again: as a fraction of the smallest distance between two positions or, for
+#: a single position, of the range.
 ARMED_PART, ARMED_RANGE = 0.25, 0.01
-#: Largest number of samples of a waveform in which its longest path is searched.
+#: Largest number of samples of a waveform that are searched for its longest path in a sample.
 SEARCHED = 2**18
 #: Actions of the trigger input.
 ACTIONS = ("none", "start", "hold", "step")
@@ -67,7 +68,7 @@ class TriggerInputParameters(Parameters):
 
 @dataclass(frozen=True)
 class TriggerParameters(Parameters):
-    """Where and when an axis triggers; one of positions, start/step/stop, times and each."""
+    """Where and when an axis triggers: one of positions, start/step/stop, times, and each."""
 
     positions: tuple[float, ...] = parameter((), unit="m", description="positions that trigger, increasing")
     start: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="first position of a grid")
@@ -102,12 +103,12 @@ class TriggerParameters(Parameters):
 
     @property
     def up(self) -> tuple[float, ...]:
-        """Positions that trigger in the motion up [m]."""
+        """Positions that trigger when the axis moves up [m]."""
         return self._given if self.direction != "down" else ()
 
     @property
     def down(self) -> tuple[float, ...]:
-        """Positions that trigger in the motion down [m]."""
+        """Positions that trigger when the axis moves down [m]."""
         return self.down_positions or (self._given if self.direction != "up" else ())
 
     @property
@@ -134,11 +135,11 @@ class TriggerParameters(Parameters):
 
     @property
     def gap(self) -> float:
-        """Least distance of two positions of one direction [m]; infinite with fewer than two positions."""
+        """Smallest distance between two positions for the same direction [m]; infinite for fewer than two positions."""
         return min(float(np.min(np.diff(some), initial=math.inf)) for some in (self.up, self.down))
 
     def rearmed(self, low: float, high: float) -> float:
-        """Return the distance that arms a position again [m], for a range of the axis [m]."""
+        """Return the distance after which a position is armed again [m], for the axis' range ``low`` … ``high`` [m]."""
         gap = self.gap
         return self.rearm or (ARMED_PART * gap if math.isfinite(gap) else ARMED_RANGE * (high - low))
 
@@ -170,7 +171,7 @@ def makes_triggers(node: Mapping[str, Any]) -> bool:
 
 
 def _order_problems(name: str, values: tuple[float, ...], unit: str) -> Iterator[Problem]:
-    """Yield a Problem unless values are finite and increase, and are not too many."""
+    """Yield a Problem if values are not finite, do not increase, or are too many."""
     if len(values) > MOST:
         yield Problem(name, len(values), f"are more than {MOST}: give a grid (start, step, stop)")
     wrong = next((b for a, b in zip(values, values[1:], strict=False) if not b > a), None)
@@ -182,7 +183,7 @@ def _order_problems(name: str, values: tuple[float, ...], unit: str) -> Iterator
 def longest_path(
     waveform: WaveformParameters, approach: ApproachParameters, span: float, sample_time: float
 ) -> tuple[float, str]:
-    """Return the longest path of the reference in a sample [m] and its cause; 0: not known in advance.
+    """Return the longest path of the reference within a sample [m], and its cause; 0 if it is not known in advance.
 
     Units: ``span`` of the reference [m], ``sample_time`` [s].
     """
@@ -206,11 +207,11 @@ def trigger_problems(
     longest: Callable[[], tuple[float, str]],
     waveform: WaveformParameters | None = None,
 ) -> Iterator[Problem]:
-    """Yield a Problem for each trigger that an axis cannot make: out of its range, or faster than its samples.
+    """Yield a Problem for each trigger that the axis cannot make: outside its range, or faster than its samples allow.
 
-    ``given`` is consistent in itself; ``low`` and ``high`` are the range of the reference [m]. ``longest()`` returns
-    the longest path in a sample [m] and its cause; it is needed for positions. ``waveform`` is None for an axis without
-    waveforms. Units: ``sample_rate`` [Hz].
+    ``given`` has no inconsistencies; ``low`` and ``high`` are the ends of the range of the reference [m]. ``longest()``
+    returns the longest path within a sample [m] and its cause; it is called only if there are positions. ``waveform``
+    is None for an axis without waveforms. Units: ``sample_rate`` [Hz].
     """
     step = 1.0 / sample_rate
     for position in (*given.up, *given.down):
@@ -256,7 +257,7 @@ def trigger_problems(
 def _scan_problems(
     each: str, waveform: WaveformParameters | None, least: float, limit: str, step: float
 ) -> Iterator[Problem]:
-    """Yield a Problem unless the axis follows a scan whose clock contains the level, slowly enough."""
+    """Yield a Problem unless the axis follows a scan that is slow enough, and its clock contains the level ``each``."""
     if waveform is None or waveform.type != "scan":
         remedy = "needs a scan: waveform.type: scan; other waveforms have positions and times"
         yield Problem("triggers.each", each, remedy)
@@ -272,27 +273,28 @@ def _scan_problems(
             yield Problem("triggers.each", each, remedy)
 
 
-# Parameters: distance that arms again [m], sample time [s], least number of samples between two events, bit of the
-# scan, action of the input, its step [m], range of the setpoint [m].
+# Parameters: distance after which a position is armed again [m], sample time [s], smallest number of samples between
+# two events, bit of the scan's edges, action of the trigger input, distance of its step [m], range of the setpoint [m].
 REARM, SAMPLE_TIME, SPACING, BIT, ACTION, DISTANCE, LOWEST, HIGHEST = range(8)
-# State: number of positions that are not armed for the motion up, and that are armed for the motion down; the last
-# three measurements [m], how many in a row are known (0 … 3), and the samples since the last one; events so far, and
-# the samples since the last one; next time, last sample of the waveform; setpoint in force, as given, and as stepped to
-# (NaN: not) [m]; refused pulses of the input.
+# State: number of positions that are not armed for the motion up, and number of those that are armed for the motion
+# down; the last three measurements [m], how many of them are known in a row (0 … 3), and number of samples since the
+# last one; number of events, and of samples since the last event; index of the next time, last sample of the waveform;
+# setpoint in force, as given, and as reached by steps (NaN: no steps) [m]; number of refused pulses of the trigger
+# input.
 ABOVE, BELOW, LAST, BEFORE, OLDER, KNOWN, AGE, NUMBER, SINCE, NEXT, PASSED = range(11)
 IN_FORCE, GIVEN, TARGET, REFUSED = range(11, 15)
 STATES = 15
-#: Largest number of iterations for an instant, and the change of the fraction of a sample that ends them.
+#: Largest number of iterations for the instant of an event, and change (fraction of a sample) at which they end.
 ITERATIONS, CLOSE = 50, 1e-14
 
 
 class TriggerArrays(NamedTuple):
-    """All arrays of the triggers of an axis."""
+    """All arrays for the triggers of an axis."""
 
     p: np.ndarray
     x: np.ndarray
-    up: np.ndarray  #: Positions in the motion up [m].
-    down: np.ndarray  #: Positions in the motion down [m].
+    up: np.ndarray  #: Positions for the motion up [m].
+    down: np.ndarray  #: Positions for the motion down [m].
     times: np.ndarray  #: First sample of the waveform at or after each time, and the delay until it [s], shape (N, 2).
     delays: np.ndarray  #: Delay from the exact scan edge to each sample of a period [s]; a single 0: no scan.
 
@@ -300,10 +302,10 @@ class TriggerArrays(NamedTuple):
 def trigger_arrays(
     given: TriggerParameters, rearm: float, initial: float, sample_time: float, clock: ScanClock | None
 ) -> TriggerArrays:
-    """Return the arrays of the triggers of an axis at rest; the caller sets the range of the setpoint.
+    """Return the arrays for the triggers of an axis at rest; the caller then sets the range of the setpoint.
 
-    ``rearm`` is the distance that arms a position again, ``initial`` the setpoint at the beginning [m], ``clock`` that
-    of the scan that the axis follows, or None. Units: ``sample_time`` [s].
+    ``rearm`` is the distance after which a position is armed again, ``initial`` the setpoint at the beginning [m], and
+    ``clock`` the clock of the scan that the axis follows, or None. Units: ``sample_time`` [s].
     """
     p, x = np.zeros(8), np.zeros(STATES)
     spacing = math.ceil(1.0 / (given.rate * sample_time) - 1e-9) if given.rate else 1
@@ -321,7 +323,7 @@ def trigger_arrays(
 
 
 def rest_triggers(arrays: TriggerArrays, initial: float) -> None:
-    """Return triggers to their state at the beginning; ``initial`` is the setpoint [m]."""
+    """Set triggers to their state at the beginning; ``initial`` is the setpoint [m]."""
     arrays.x[:] = 0.0
     arrays.x[IN_FORCE] = arrays.x[GIVEN] = initial
     arrays.x[TARGET], arrays.x[SINCE] = math.nan, math.inf
@@ -329,14 +331,15 @@ def rest_triggers(arrays: TriggerArrays, initial: float) -> None:
 
 @kernel
 def crossing(first, last, second, third, position):
-    """Return the fraction of a sample at which a cubic from ``first`` to ``last`` [m] is at a position between them.
+    """Return the fraction of a sample at which a cubic from ``first`` to ``last`` [m] reaches a position between them.
 
-    ``second`` and ``third`` are the differences of the last measurements of these orders [m]; 0: of a lower order.
+    ``second`` and ``third`` are the second and third differences of the last measurements [m]; with 0 the order is
+    lower.
     """
     path = last - first
     low, high = 0.0, 1.0
     part = (position - first) / path
-    for _ in range(ITERATIONS):  # Newton's method, and bisection where it would leave the interval
+    for _ in range(ITERATIONS):  # Newton's method, with bisection where it would leave the interval
         value = first + part * (path + 0.5 * (part - 1.0) * (second + (part + 1.0) * third / 3.0)) - position
         if (value > 0.0) == (path > 0.0):
             high = part
@@ -354,7 +357,7 @@ def crossing(first, last, second, third, position):
 
 @nested
 def fire(p, x, row, position, direction, delay):
-    """Count an event; write it into the row if it is the first of the sample and the output is ready again."""
+    """Count an event; write it to the row if it is the sample's first event and the output is ready again."""
     x[NUMBER] += 1.0
     if row[at.TRIGGER] == 0.0 and x[SINCE] >= p[SPACING]:
         row[at.TRIGGER] = x[NUMBER]
@@ -364,7 +367,7 @@ def fire(p, x, row, position, direction, delay):
 
 @nested
 def pass_positions(arrays, row, measured):
-    """Fire at the positions that were passed since the last measurement, and arm those that were left."""
+    """Trigger at the positions that were passed since the last measurement, and arm those that were left."""
     p, x, up, down = arrays.p, arrays.x, arrays.up, arrays.down
     i, j = int(x[ABOVE]), int(x[BELOW])
     if x[KNOWN] == 0.0:
@@ -394,7 +397,7 @@ def pass_positions(arrays, row, measured):
 
 @nested
 def pass_instant(p, x, row, measured, delay):
-    """Fire at an instant ``delay`` [s] before the sample; the position is on the line between two measurements."""
+    """Trigger at an instant ``delay`` [s] before the sample; the position is interpolated between two measurements."""
     position, moved = math.nan, 0.0
     if measured == measured and x[KNOWN] > 0.0:
         moved = measured - x[LAST]
@@ -407,9 +410,9 @@ def pass_instant(p, x, row, measured, delay):
 
 @nested
 def compare(arrays, row):
-    """Write the trigger of a sample into its row, which has none yet, from measurement and sample of the waveform.
+    """Write the trigger of a sample to its row, which has none yet, from measurement and sample of the waveform.
 
-    While the plant has stopped the axis there are no triggers; afterwards the position of the axis determines which
+    While the plant has stopped the axis, there are no triggers. Afterwards, the position of the axis determines which
     positions are armed.
     """
     p, x = arrays.p, arrays.x
@@ -441,7 +444,7 @@ def compare(arrays, row):
 
 @nested
 def step_setpoint(arrays, row):
-    """Add a step to the setpoint at a pulse of the input; the next setpoint of the user replaces it."""
+    """Add a step to the setpoint at a pulse of the trigger input; the user's next setpoint replaces the result."""
     p, x = arrays.p, arrays.x
     if row[at.SETPOINT] != x[GIVEN]:
         x[GIVEN] = row[at.SETPOINT]

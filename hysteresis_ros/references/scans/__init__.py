@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Scans of a plane: each is one file or folder here, found automatically; and the choice of one by name.
+"""Scans of a plane: each is a file or folder in this folder and is found automatically; a name selects one.
 
 :mod:`hysteresis_ros.references.scan` describes the declaration of a scan.
 """
@@ -23,19 +23,19 @@ from hysteresis_ros.references.recipes import parameter_value
 from hysteresis_ros.references.scan import Scan, ScanShape
 from hysteresis_ros.registry import discover
 
-#: The scans by name. Other packages add theirs by an entry point: ``zigzag = my_package.zigzag:SCAN``.
+#: The scans, by name. Other packages add theirs by an entry point: ``zigzag = my_package.zigzag:SCAN``.
 SCANS: dict[str, ScanShape] = discover(__name__, "SCAN", ScanShape, "hysteresis_ros.scans")
 
 
 def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
-    """Return a scan, with its parameters checked.
+    """Return a scan after a check of its parameters.
 
     Parameters
     ----------
     kind : str
         One of :data:`SCANS`.
     values : mapping of str to object
-        Parameters of the scan in SI; those left out have their defaults.
+        Parameters of the scan in SI units; omitted parameters have their defaults.
 
     Returns
     -------
@@ -65,10 +65,10 @@ def rows_of(kind: str) -> dict[str, ParameterRow]:
 
 
 def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dict[str, Any]:
-    """Return parameters in SI from texts ``NAME=VALUE``, a length with its unit: ``width=80um``.
+    """Return parameters in SI units from texts ``NAME=VALUE``, with a unit for a length: ``width=80um``.
 
-    ``rows`` are the existing parameters, as :func:`rows_of` returns them. ParameterError: a text has another form, or a
-    parameter is unknown or invalid.
+    ``rows`` contains the existing parameters, as :func:`rows_of` returns them. ParameterError: a text has another form,
+    or a parameter is unknown or invalid.
     """
     found, problems = {}, []
     for word in words:
@@ -89,7 +89,7 @@ def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dic
 
 
 def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
-    """Return a scan from texts ``NAME=VALUE``, as a parameter file or the command line has them.
+    """Return a scan from texts ``NAME=VALUE``, as they occur in a parameter file or on the command line.
 
     ParameterError: there is no such scan, or a parameter is unknown, missing or out of range.
     """
@@ -97,7 +97,7 @@ def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
 
 
 def scan_words(scan: Scan) -> tuple[str, tuple[str, ...]]:
-    """Return the kind of a scan, and its parameters as texts, from which :func:`parsed_scan` recreates it.
+    """Return the kind of a scan and its parameters as texts; :func:`parsed_scan` restores the scan from them.
 
     ParameterError: the scan is not one of :data:`SCANS`.
     """

@@ -9,7 +9,7 @@
 
 """Cycloid: circles whose middle drifts along u, forward in one frame and back in the next one.
 
-The middle moves at a constant velocity. Around the beginnings of frames it reverses smoothly
+The middle of the circles moves at a constant velocity. Around the beginnings of frames, its motion reverses smoothly
 (:mod:`hysteresis_ros.references.pieces`); the reversal overshoots the ends. The path is the sum of one tone and this
 slow drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi 10.1088/0957-4484/21/36/365503).
 """
@@ -31,7 +31,7 @@ from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
 @dataclass(frozen=True)
 class Cycloid(Scan):
-    """Loops over a rectangle.
+    """Overlapping circles over a rectangle.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Cycloid(Scan):
 
     @cached_property
     def _drift(self) -> Pieces:
-        """The middle of the circles over two frames, from the end of a reversal on."""
+        """The middle of the circles over two frames, starting at the end of a reversal."""
         span = self.width - self.diameter
         velocity = span / (1.0 - self.turn)
         made = Builder(-0.5 * span, self.turn_law)
@@ -123,7 +123,7 @@ class Cycloid(Scan):
 
     @cached_property
     def passes(self) -> Passes:
-        """The passes of a period: circles; the second frame has the lines of the first in reverse."""
+        """The passes of a period: circles; the second frame has the lines of the first one in reverse order."""
         number = np.arange(2 * self.lines)
         ahead = number < self.lines
         line = np.where(ahead, number, 2 * self.lines - 1 - number)

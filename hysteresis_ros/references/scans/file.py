@@ -10,9 +10,9 @@
 """A path from a file: a smooth curve through its points, closed by a way back from the last to the first point.
 
 Between the points each coordinate is a cubic spline over the time. Its velocity and acceleration are continuous, also
-from one frame to the next. A path whose last point is the first one, or one step before it, closes by itself. Any other
-path needs a way back, in a given fraction of the frame: the polynomial of fifth degree that continues position and
-velocity of both ends, with no acceleration at the ends.
+from one frame to the next. A path closes by itself if its last point is the first point or one step before it. Any
+other path needs a way back, which takes a given fraction of the frame. The way back is the polynomial of fifth degree
+that continues position and velocity at both ends, with zero acceleration there.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from hysteresis_ros.references.pieces import Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 from hysteresis_ros.references.waveforms.file import read_columns
 
-#: Least and largest number of points of a file.
+#: Smallest and largest number of points in a file.
 LEAST, MOST = 4, 1_000_000
-#: Largest distance from the last point to the first in a path that closes by itself, as a multiple of a step of the
+#: A path closes by itself if the distance from its last to its first point is at most this multiple of a step of the
 #: path.
 NEAR = 2.0
 #: Points that are closer than this fraction of the size count as one.
@@ -44,19 +44,19 @@ TOGETHER = 1e-9
 class File(Scan):
     """A path through points.
 
-    A frame is one line, divided into pixels of equal duration; the way back belongs to no pixel.
+    A frame is one line that is divided into pixels of equal duration; the way back belongs to no pixel.
 
     Parameters
     ----------
     frame_rate : float
         Frames per second [Hz]; 0: determined by the times of the file.
     path : str
-        CSV whose header names units (``time [s], x [um], y [um]``), or NPZ with arrays ``time`` [s], ``x`` and ``y``
-        [m].
+        CSV with a header that states units (``time [s], x [um], y [um]``), or NPZ with arrays ``time`` [s], ``x`` and
+        ``y`` [m].
     sample_rate : float
-        Points per second [Hz], for a file without a column time.
+        Points per second [Hz], for a file without a column ``time``.
     way_back : float
-        Fraction of the frame for the way back to the first point; 0: the path closes by itself.
+        Fraction of the frame that the way back to the first point takes; 0: the path closes by itself.
     """
 
     frame_rate: float = parameter(
@@ -74,7 +74,7 @@ class File(Scan):
     )
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each inconsistency, also of the file."""
+        """Yield a Problem for each inconsistency, also within the file."""
         try:
             self._points  # noqa: B018
         except ParameterError as error:
@@ -105,9 +105,9 @@ class File(Scan):
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Instants since the first point [s], including the return to it; points [m]; end of the data [s].
+        """Instants since the first point, up to the return to it [s]; points [m]; end of the data [s].
 
-        The shapes are (N,) and (2, N); the last point is the first one.
+        The shapes are (N,) and (2, N); the last point is equal to the first one.
         """
         time, points = self._read()
         size = float(np.max(np.ptp(points, axis=1)))
@@ -127,7 +127,7 @@ class File(Scan):
                 raise self._refused("way_back", f"{text}, e.g. 0.1")
             time = np.append(time, 2.0 * time[-1] - time[-2])
             return time, np.append(points, points[:, :1], axis=1), float(time[-1])
-        # the way back, with points as dense as in the file
+        # the way back gets points as dense as those in the file
         end = float(time[-1])
         lasts = end * self.way_back / (1.0 - self.way_back)
         count = max(8, min(MOST, round(lasts / end * (time.size - 1))))
@@ -180,7 +180,7 @@ class File(Scan):
 
         time, points, _ = self._points
         frames = time / time[-1]
-        # coefficients of the highest power first, shape (4, P, 2)
+        # coefficients with the highest power first, shape (4, P, 2)
         spline = CubicSpline(frames, points, axis=1, bc_type="periodic")
         return Pieces(frames, np.ascontiguousarray(np.moveaxis(spline.c[::-1], 0, 1)))
 

@@ -13,14 +13,15 @@ With N lines per frame and the phase θ = π s after s frames,
 
     u = width/2 cos(N θ),   v = depth/2 cos((N − 1) θ).
 
-The frequencies are N/2 and (N − 1)/2 times the frame rate: in one frame the path goes from one corner to another, in
-the next one back along itself. Neighbouring lines are farthest apart in the middle, where they are parallel. There they
-have the slope ((N − 1) depth) / (N width) and are offset in v by 2π/N · depth/2, so their distance is
+The frequencies are N/2 and (N − 1)/2 times the frame rate: in one frame, the path goes from one corner to another; in
+the next frame, it goes back along the same line. Neighbouring lines are farthest apart in the middle, where they are
+parallel. In the middle they have the slope ((N − 1) depth) / (N width) and are offset in v by 2π/N · depth/2, so their
+distance is
 
     gap = π width depth / √((N width)² + ((N − 1) depth)²),
 
-which is the diameter of the largest circle that the path leaves empty. For large N it is π width depth / (N √(width² +
-depth²)).
+which is the diameter of the largest circle that the path leaves empty. For large N, this distance is π width depth / (N
+√(width² + depth²)).
 """
 
 from __future__ import annotations

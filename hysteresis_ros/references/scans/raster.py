@@ -22,7 +22,7 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.pieces import LAWS, Builder, Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Patterns: each line forward and backward; lines alternately forward and backward; each line forward, with a smooth
+#: Patterns: each line forward and backward; alternate lines forward and backward; each line forward, with a smooth
 #: return.
 PATTERNS = ("trace_retrace", "bidirectional", "trace")
 
@@ -31,29 +31,31 @@ PATTERNS = ("trace_retrace", "bidirectional", "trace")
 class Raster(Scan):
     """Lines along u at a constant velocity over the whole ``width``; v moves from line to line.
 
-    A line takes 1 / (lines + flyback) of a frame. A pass over the plane takes the time T. In the fraction 1 − ``turn``
-    of T, u covers the whole width at the constant velocity width / ((1 − turn) T). In the fraction ``turn``, u turns
-    and overshoots the width (:mod:`hysteresis_ros.references.pieces`). During the flyback u continues as before, and v
-    returns.
+    A line takes 1 / (lines + flyback) of a frame. Let T be the time of one pass over the plane. In the fraction 1 −
+    ``turn`` of T, u covers the whole width at the constant velocity width / ((1 − turn) T). In the fraction ``turn`` of
+    T, u turns and overshoots the width (:mod:`hysteresis_ros.references.pieces`). During the flyback, u continues in
+    the same way, and v returns.
 
     Parameters
     ----------
     width, depth : float
-        Length of the lines, and distance from the first to the last one [m].
+        Length of the lines, and distance from the first to the last line [m].
     lines : int
         Number of lines per frame.
     pattern : str
         One of :data:`PATTERNS`.
     turn : float
-        Fraction of a pass that the turn takes; with the pattern ``trace``, the return.
+        Fraction of a pass that the turn takes; with the pattern ``trace``, that the return takes.
     turn_law : str
         Motion profile of turns, steps and flyback.
     slow : str
-        ``stepped``: v moves only during turns; ``ramped``: v moves at a constant velocity, so lines are oblique.
+        ``stepped``: v moves only during turns; ``ramped``: v moves at a constant velocity, so that the lines are
+        oblique.
     flyback : int
-        Return of v, in durations of a line.
+        Duration of the return of v, in durations of a line.
     line_rate : float
-        Lines per second instead of frames per second [Hz]; with ``trace_retrace`` there and back. 0: ``frame_rate``.
+        Lines per second [Hz], if given instead of frames per second; with ``trace_retrace``, a line is a trace and its
+        retrace. 0: ``frame_rate`` applies.
     """
 
     width: float = parameter(description="length of the lines", unit="m", low=1e-12, high=1.0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Rosette: a sinusoid through the middle whose direction turns; the path is the sum of two tones.
+"""Rosette: a sinusoid through the middle with a direction that turns; the path is the sum of two tones.
 
 With N lines per frame and the phase θ = π s after s frames,
 
@@ -34,7 +34,7 @@ from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
 @dataclass(frozen=True)
 class Rosette(Scan):
-    """Diameters of a disc, each turned by π/N from the one before.
+    """Diameters of a disc, each turned by π/N from the previous one.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Rosette(Scan):
 
     @cached_property
     def passes(self) -> Passes:
-        """The passes of a period: from rim to rim."""
+        """The passes of a period: diameters from rim to rim."""
         line = np.arange(self.lines)
         each = np.full(self.lines, 1.0 / self.lines)
         return Passes(line / self.lines, each, line, np.ones(self.lines, dtype=np.int64))

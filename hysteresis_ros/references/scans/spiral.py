@@ -9,16 +9,16 @@
 
 r"""Spiral of Archimedes: outwards in one frame, inwards in the next, at constant angular or constant linear velocity.
 
-A frame covers the angle Ψ. From the middle outwards the radius is :math:`r = a\,\psi`. Around ψ = Ψ, within ``rim``
-revolutions, it reverses by minimum jerk (:mod:`hysteresis_ros.references.pieces`, with ψ instead of the time), and then
-decreases. The angle ψ always grows:
+A frame covers the angle Ψ. From the middle outwards, the radius is :math:`r = a\,\psi`. Around ψ = Ψ, within ``rim``
+revolutions, the radius reverses by minimum jerk (:mod:`hysteresis_ros.references.pieces`, with ψ instead of the time),
+and then decreases. The angle ψ always grows:
 
 .. math::
 
     u + i v = r(\psi)\,e^{i\psi}, \qquad \Psi = 2\pi\,(\mathrm{turns} + 1/4).
 
-Because of the quarter revolution the inward spiral continues straight through the middle into the outward spiral: the
-path is smooth there, and repeats after two frames.
+Because of the quarter revolution, the inward spiral continues straight through the middle into the outward spiral.
+Therefore the path is smooth in the middle, and repeats after two frames.
 
 *Constant angular velocity* (cav): :math:`\psi = \Psi s` after s frames. *Constant linear velocity* (clv):
 :math:`\mathrm{d}s/\mathrm{d}\psi \propto \sqrt{1 + \psi^2}`, whose integral is :math:`(\psi\sqrt{1 + \psi^2} +
@@ -43,9 +43,9 @@ from hysteresis_ros.configuration import parameter
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Number of points of each part of a frame at which the largest magnitudes of derivatives are sought.
+#: Number of points in each part of a frame at which the largest magnitudes of the derivatives are searched.
 LOOKS = 4000
-#: Number of points of the table that gives an initial estimate of the angle, and number of Newton steps that follow.
+#: Number of points of the table for an initial estimate of the angle, and number of the following Newton steps.
 TABLE, STEPS = 4000, 3
 
 
@@ -56,15 +56,15 @@ class Spiral(Scan):
     Parameters
     ----------
     diameter : float
-        Diameter of the disc in which the arms have a constant distance, without the reversal at the rim [m].
+        Diameter of the disc in which neighbouring arms have a constant distance, without the reversal at the rim [m].
     turns : int
         Number of revolutions per frame; a quarter revolution is added.
     law : str
         ``cav``: constant angular velocity, ``clv``: constant linear velocity.
     core : float
-        With ``clv``: revolutions around the middle at a lower velocity.
+        With ``clv``: number of revolutions around the middle in which the velocity is lower.
     rim : float
-        Revolutions in which the radius reverses at the rim.
+        Number of revolutions in which the radius reverses at the rim.
     """
 
     diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
@@ -103,12 +103,12 @@ class Spiral(Scan):
 
     @property
     def frequency(self) -> float:
-        """Revolutions per second [Hz]; with clv the mean over a frame."""
+        """Revolutions per second [Hz]; with ``clv``, the mean over a frame."""
         return (self.turns + 0.25) * self.rate
 
     @property
     def constant_share(self) -> float:
-        """Fraction of the time of a frame at constant linear velocity; 0 with cav."""
+        """Fraction of a frame's time at constant linear velocity; 0 with ``cav``."""
         if self.law == "cav":
             return 0.0
         return float(self._elapsed(np.array([self._outer]))[0] - self._elapsed(np.array([self._inner]))[0])
@@ -120,17 +120,17 @@ class Spiral(Scan):
 
     @property
     def _inner(self) -> float:
-        """Angle from the middle at which the core ends [rad]."""
+        """Angle [rad] from the middle to the end of the core."""
         return 2.0 * math.pi * self.core
 
     @property
     def _outer(self) -> float:
-        """Angle from the middle at which the radius begins to reverse [rad]."""
+        """Angle [rad] from the middle to the point at which the radius begins to reverse."""
         return self._whole - math.pi * self.rim
 
     @property
     def _slope(self) -> float:
-        """Radius per angle: a [m/rad]."""
+        """Radius divided by the angle: a [m/rad]."""
         return 0.5 * self.diameter / self._outer
 
     def _radius(self, angle: np.ndarray) -> list[np.ndarray]:
@@ -147,7 +147,7 @@ class Spiral(Scan):
 
     @cached_property
     def _joined(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the even polynomials of core and rim: powers 0, 2, 4 of the angle from each centre."""
+        """Coefficients of the even polynomials of core and rim, for powers 0, 2, 4 of the angle from each centre."""
         found = []
         for at, slope, end in ((self._inner, 1.0, self._inner), (self._outer, -1.0, self._whole - self._outer)):
             value = math.sqrt(1.0 + at * at)
@@ -194,7 +194,7 @@ class Spiral(Scan):
         return float(self._passed(np.array([self._whole]))[0])
 
     def _elapsed(self, angle: np.ndarray) -> np.ndarray:
-        """Return the fraction of a frame until given angles from the middle."""
+        """Return the fraction of a frame that has passed at given angles from the middle."""
         return self._passed(angle) / self._total
 
     @cached_property
@@ -205,7 +205,7 @@ class Spiral(Scan):
         return self._elapsed(angles), angles
 
     def _angle(self, elapsed: np.ndarray) -> np.ndarray:
-        """Return the angle from the middle after given fractions of a frame."""
+        """Return the angle from the middle at which given fractions of a frame have passed."""
         if self.law == "cav":
             return elapsed * self._whole
         angle = np.interp(elapsed, *self._table)
@@ -243,7 +243,7 @@ class Spiral(Scan):
         outward = frames < 1.0
         angle = self._angle(np.where(outward, frames, 2.0 - frames))
         path = self._outward(angle, order) * np.exp(1j * angle)
-        # inwards: the outward spiral, mirrored, backwards in time and rotated
+        # inwards, the path is the outward spiral, mirrored, reversed in time, and rotated
         back = np.exp(2j * self._whole) * np.conj(path) * (-1.0) ** order
         path = np.where(outward, path, back)
         return np.array([path.real, path.imag])
@@ -260,7 +260,7 @@ class Spiral(Scan):
             angles = np.linspace(low + inset, high - inset, LOOKS)
             for order in range(4):
                 size = np.abs(self._outward(angles, order))
-                # between two points a parabola rises above them by at most an eighth of the second difference
+                # between two points, a parabola is at most an eighth of the second difference higher than the points
                 rise = 0.25 * np.max(np.abs(np.diff(size, 2)))
                 found[order] = max(found[order], size.max() + rise)
         return found
@@ -278,7 +278,7 @@ class Spiral(Scan):
 
     @cached_property
     def passes(self) -> Passes:
-        """The passes of a period: whole revolutions around the middle; outwards a trace, inwards a retrace."""
+        """The passes of a period: whole revolutions around the middle; a trace outwards, and a retrace inwards."""
         ends = self._elapsed(2.0 * math.pi * np.arange(self.turns + 1.0))
         begin, duration, line = ends[:-1], np.diff(ends), np.arange(self.turns)
         return Passes(

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference waveforms: the files here, found automatically, declare them; a parameter chooses one by name.
+"""Reference waveforms: each file in this folder declares waveforms and is found automatically; a parameter selects one.
 
 :mod:`hysteresis_ros.references.declaration` describes the declaration of a waveform. A waveform is a block whose output
-depends only on the sample counter, from which that module computes the position within the cycle. After the last of
-``cycles`` cycles it holds its value at the end of the cycle: for square the last level, for staircase the level after
-the last step, at which the next cycle would begin.
+depends only on the sample counter; that module computes the position within the cycle from the counter. After the last
+of ``cycles`` cycles, a waveform holds its value at the end of the cycle: for a square the last level, for a staircase
+the level after the last step, at which the next cycle would begin.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hysteresis_ros.models.block import Block
 from hysteresis_ros.references.declaration import PREFIX, WaveformShape
 from hysteresis_ros.registry import discover
 
-#: The waveforms by name. Other packages add theirs by an entry point: ``sinc = my_package.sinc:WAVEFORM``.
+#: The waveforms, by name. Other packages add theirs by an entry point: ``sinc = my_package.sinc:WAVEFORM``.
 WAVEFORMS: dict[str, WaveformShape] = discover(__name__, "WAVEFORM", WaveformShape, "hysteresis_ros.waveforms")
 
 
@@ -90,11 +90,12 @@ class Waveform(Block):
     Attributes
     ----------
     lowest, highest : float
-        Range of the waveform [m], including the offset; for a formula the range of the continuous shape.
+        Range of the waveform [m], including the offset; for a waveform given by a formula, the range of the continuous
+        shape.
     crest_factor : float or None
-        Peak over root mean square, without the offset, of a multisine.
+        Peak divided by root mean square, without the offset, of a multisine.
     period : int or None
-        Number of samples after which the output repeats bit for bit; None if it does not within 2²⁶ samples.
+        Number of samples after which the output repeats bit for bit; None if there is no such number up to 2²⁶.
     edges : ndarray
         Scan edges of each sample as bits (:meth:`.ScanClock.edges`); a single 0: no scan.
 
@@ -110,9 +111,9 @@ class Waveform(Block):
 
     @property
     def duration_samples(self) -> int:
-        """Length of the waveform in samples; 0 when it has no end.
+        """Length of the waveform in samples; 0 if it has no end.
 
-        The last of several steps has the length of the previous one.
+        The last of several steps counts as long as the previous one.
         """
         return self.parameters.shape.duration(self.p)
 
@@ -124,7 +125,7 @@ class Waveform(Block):
         return packed.p
 
     def retune(self, parameters) -> None:
-        """Refuse any change, because another waveform may have another size.
+        """Refuse any change, because the arrays of another waveform may have another size.
 
         Raises
         ------

@@ -9,7 +9,7 @@
 
 """The basic waveforms: hold, sine, triangle, square, staircase, and the decaying ones.
 
-Each kernel computes one cycle from the position in it; :func:`.cyclic` adds what they share.
+Each kernel computes one cycle from the position within the cycle; :func:`.cyclic` adds what all of them share.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from hysteresis_ros.references.declaration import (
     whole_turns,
 )
 
-#: Own parameters, of waveforms with a polarity after it.
+#: Parameters of single waveforms; for waveforms with a polarity, they follow it.
 DUTY = OWN + 1
 LEVELS = OWN + 1  # levels per cycle
 CYCLES = OWN + 1

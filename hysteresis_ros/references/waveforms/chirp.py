@@ -51,7 +51,7 @@ class ChirpParameters(Parameters):
 
 @kernel
 def chirp_linear(p, x, u):
-    """Sine whose frequency grows linearly over the sweep: turns = f0 T s + (f1 − f0) T s²/2, s = position."""
+    """Sine whose frequency grows linearly over the sweep: turns = f0 T s + (f1 − f0) T s²/2 at the position s."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -63,7 +63,7 @@ def chirp_linear(p, x, u):
 
 @kernel
 def chirp_logarithmic(p, x, u):
-    """Sine whose frequency grows exponentially: turns = f0 T (r^s − 1)/ln r, r = f1/f0."""
+    """Sine whose frequency grows exponentially: turns = f0 T (r^s − 1)/ln r at the position s, with r = f1/f0."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -73,7 +73,7 @@ def chirp_logarithmic(p, x, u):
 
 
 def check(parameters):
-    """Yield a Problem for frequencies between which exponential growth is impossible."""
+    """Yield a Problem if the frequency cannot grow exponentially from the first to the final one."""
     if parameters.chirp.sweep == "logarithmic":
         first, last = parameters.frequency, parameters.chirp.final_frequency
         if not (first > 0.0 and last > 0.0 and first != last):

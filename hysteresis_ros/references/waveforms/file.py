@@ -29,7 +29,7 @@ from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, O
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 #: Seconds per unit, by the names allowed in a header.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-#: Largest deviation of the samples from a uniform grid, and of this grid from the generator's, in sample times.
+#: Largest deviation of the samples from a uniform grid, and of this grid from that of the generator, in sample times.
 GRID_TOLERANCE = 0.01
 LARGEST_TABLE = 10_000_000
 
@@ -40,13 +40,13 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     Parameters
     ----------
     path : str
-        A ``.csv`` with a header that names columns and units (``time [s], reference [m]``), an ``.npz`` with arrays
-        ``column`` [m] and optionally ``time`` [s], or an ``.npy`` with one array of metres.
+        A ``.csv`` with a header that states columns and units (``time [s], reference [m]``), an ``.npz`` with arrays
+        ``column`` [m] and optionally ``time`` [s], or an ``.npy`` with one array in metres.
     column : str
         Name of the column without unit.
     file_sample_time : float
-        Sample time of the file [s]; the samples are then interpolated linearly. 0 = the file must have the generator's
-        sample time, stated by its time column.
+        Sample time of the file [s], from which the samples are interpolated linearly. 0: the file has a column
+        ``time``, with the generator's sample time.
     sample_time : float
         Sample time of the generator [s].
     prefix : str
@@ -55,8 +55,8 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     Raises
     ------
     ParameterError
-        The file is missing, unreadable, lacks the column or unit, contains values that are not finite, or its sample
-        time is not the generator's.
+        The file is missing or unreadable, lacks the column or its unit, contains values that are not finite, or has
+        another sample time than the generator.
     """
 
     def refused(name, value, text):
@@ -125,7 +125,7 @@ def _uniform_sample_time(time: np.ndarray, refused) -> float | None:
 
 
 def _name_and_unit(text: str) -> tuple[str, str | None]:
-    """Split ``reference [m]``, ``reference (m)`` or ``reference_m``."""
+    """Split ``reference [m]``, ``reference (m)`` or ``reference_m`` into name and unit."""
     match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(\S+?)\s*[\])]\s*", text)
     if match is None:
         units = "|".join([*LENGTH_UNITS, *TIME_UNITS])
@@ -134,10 +134,10 @@ def _name_and_unit(text: str) -> tuple[str, str | None]:
 
 
 def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarray | None, list[np.ndarray]]:
-    """Return the column ``time`` [s] of a CSV or NPZ (None: no such column), and columns of lengths [m].
+    """Return the column ``time`` [s] of a CSV or NPZ (None if there is none), and the columns of lengths [m].
 
-    The suffix determines the format; ``columns`` are names without units, which the header of a CSV gives. KeyError: a
-    column or its unit is missing. ValueError: the columns are not numbers of equal length.
+    The suffix determines the format; ``columns`` contains names without units, and the header of a CSV states the
+    units. KeyError: a column or its unit is missing. ValueError: the columns are not numbers of equal length.
     """
     return (_read_npz if source.suffix.lower() == ".npz" else _read_csv)(source, columns)
 
@@ -192,7 +192,7 @@ def _read_npy(source: pathlib.Path, columns: Sequence[str]):
 
 
 def _real(array: np.ndarray) -> np.ndarray:
-    """Return numbers as float64; texts and complex numbers are refused."""
+    """Return an array of numbers as float64; refuse texts and complex numbers."""
     if array.dtype.kind not in "biuf":
         raise ValueError(f"holds an array of {array.dtype}, not of real numbers")
     return array.astype(float)
@@ -203,7 +203,7 @@ COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # number of entries, period [sampl
 
 @dataclass(frozen=True)
 class FileParameters(Parameters):
-    """Samples from CSV, NPZ or NPY, repeated every cycle."""
+    """Samples from CSV, NPZ or NPY, repeated in every cycle."""
 
     path: str = parameter(
         description="CSV (header names units), NPZ or NPY file",
@@ -220,7 +220,7 @@ class FileParameters(Parameters):
 
 @kernel
 def file(p, x, u):
-    """Samples of a table, repeated."""
+    """Return the sample of the table, which repeats."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -229,7 +229,7 @@ def file(p, x, u):
 
 
 def pack(parameters, sample_time: float) -> Packed:
-    """Return the samples of the file.
+    """Return the waveform with the samples of the file.
 
     Raises
     ------

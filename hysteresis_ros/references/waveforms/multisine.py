@@ -66,7 +66,7 @@ class MultisineParameters(Parameters):
         return np.arange(self.first_harmonic, self.last_harmonic + 1, self.harmonic_step)
 
     def check(self):
-        """Yield a Problem when the band is empty."""
+        """Yield a Problem if the band is empty."""
         if self.last_harmonic < self.first_harmonic:
             yield Problem("last_harmonic", self.last_harmonic, f"must be ≥ first_harmonic = {self.first_harmonic}")
 
@@ -91,14 +91,14 @@ def _phases(own: MultisineParameters) -> np.ndarray:
     count = own.harmonics.size
     if own.phases == "schroeder":
         index = np.arange(1, count + 1)
-        # M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85, flat spectrum: Σ cos(… − π i(i−1)/M), as sines.
+        # M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85, flat spectrum: Σ cos(… − π i(i−1)/M), here with sines
         return 0.25 - 0.5 * ((index * (index - 1)) % (2 * count)) / count
-    # The raw numbers of a bit generator are the same in every NumPy (NEP 19); those of distributions may differ.
+    # the raw numbers of a bit generator are the same in every NumPy (NEP 19); those of distributions may differ
     return (np.random.PCG64(own.seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 
 def pack(parameters, sample_time: float) -> Packed:
-    """Return the multisine whose peak is the amplitude.
+    """Return the multisine; its peak is the parameter ``amplitude``.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def pack(parameters, sample_time: float) -> Packed:
         refuse("multisine.last_harmonic", own.last_harmonic, remedy)
     count, phases = harmonics.size, _phases(own)
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
-    # One period of the sum of sin(2π (h (k/N + phase) + φ_h)).
+    # one period of the sum of sin(2π (h (k/N + phase) + φ_h))
     angles = (TWO_PI * (phases + harmonics * p[PHASE])).tolist()
     parts = [complex(elementary.sin(angle), -elementary.cos(angle)) for angle in angles]
     spectrum[harmonics] = 0.5 * samples * np.array(parts)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Scan: one coordinate of a scan of a plane, about the setpoint (:mod:`hysteresis_ros.references.scan`)."""
+"""Scan: one coordinate of a scan of a plane, relative to the setpoint (:mod:`hysteresis_ros.references.scan`)."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def repetition(period: float, sample_time: float, name: str = "scan.values") -> 
 
 
 def clock_of(parameters, sample_time: float) -> ScanClock:
-    """Return the clock of a scan, from the parameters of a waveform ``scan`` and the sample time [s]."""
+    """Return the clock of a scan from the parameters of a waveform of type ``scan`` and the sample time [s]."""
     from hysteresis_ros.references.scans import parsed_scan
 
     own = parameters.scan
@@ -91,9 +91,9 @@ def pack(parameters, sample_time: float) -> Packed:
     Raises
     ------
     ParameterError
-        There is no such scan, one of its parameters is wrong, it has no such coordinate, or does not repeat.
+        There is no such scan, one of its parameters is wrong, it has no such coordinate, or it does not repeat.
     """
-    # imported here, because scans from a file import the waveform ``file``
+    # imported here, because the scan from a file imports the waveform ``file``
     from hysteresis_ros.references.scans import parsed_scan
 
     own, p = parameters.scan, head(parameters)

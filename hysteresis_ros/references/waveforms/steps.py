@@ -34,7 +34,7 @@ class StepsParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when times and values differ in number, times do not grow, or the period is too short."""
+        """Yield a Problem if times and values differ in number, times do not increase, or the period is too short."""
         if not self.values or len(self.values) != len(self.times):
             yield Problem(
                 "times", self.times, f"must have one time for each of the {len(self.values)} values, and at least one"
@@ -51,7 +51,7 @@ class StepsParameters(Parameters):
 
 @kernel
 def steps(p, x, u):
-    """Return value i from its start sample on, and zero before the first one; a binary search finds i."""
+    """Return value i from its start sample on, and zero before the first start; a binary search finds i."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -78,7 +78,7 @@ def pack(parameters, sample_time: float) -> Packed:
         Two times are less than a sample apart.
     """
     own, p = parameters.steps, head(parameters)
-    # the first sample at or after each time; rounding of t/Ts must not delay a level
+    # the first sample at or after each time; a rounding error of t/Ts must not delay a level
     starts = np.ceil(np.array(own.times) / sample_time - 1e-6)
     repeat = round(own.period / sample_time)
     if np.any(np.diff(starts) <= 0.0) or 0 < repeat <= starts[-1]:
@@ -101,7 +101,7 @@ def pack(parameters, sample_time: float) -> Packed:
 
 
 def duration(p) -> int:
-    """Return the length in samples; the last level has the duration of the previous one."""
+    """Return the length in samples; the last level counts as long as the previous one."""
     if p[REPEAT] != 0.0:
         return int(p[END])
     starts = p[TABLE : TABLE + int(p[COUNT])]
