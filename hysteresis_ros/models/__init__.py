@@ -9,11 +9,11 @@
 
 """Models as blocks over plain arrays: hysteresis and dynamics of an actuator, their inverses, and sensors.
 
-Start with :mod:`.block` (kernels and blocks), :mod:`.declaration` and one law of ``hysteresis/``, then
+Start with :mod:`.block` (kernels and blocks), :mod:`.declaration` and one law in ``hysteresis/``. Then read
 :mod:`.actuator`, which combines hysteresis, :mod:`.creep` and :mod:`.linear` dynamics, and :mod:`.compensator`, which
-inverts them. :mod:`.friction`, :mod:`.clamp` and :mod:`.inchworm` model the inchworm motor.
+inverts hysteresis and creep. :mod:`.friction`, :mod:`.clamp` and :mod:`.inchworm` model the inchworm motor.
 
-The package has a class for each hysteresis model, whose constructor takes the parameters as keywords:
+The package has a class for each hysteresis model; the constructor of the class takes the parameters as keywords:
 ``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists them.
 """
 
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> type[Hysteresis]:
-    """Return the class of a hysteresis model, which is imported on first use."""
+    """Return the class of a hysteresis model; the class is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up the names of submodules here while it imports them
+    # Python also looks up the names of submodules here, while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.models.classes import CLASSES

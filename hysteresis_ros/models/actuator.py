@@ -69,7 +69,7 @@ class ActuatorArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class ActuatorParameters(Parameters):
-    """Parameters of a whole actuator with its amplifier and sensor."""
+    """Parameters of a complete actuator with amplifier and sensor."""
 
     limits: LimitsParameters = group(LimitsParameters)
     hysteresis: HysteresisParameters = group(HysteresisParameters)
@@ -82,7 +82,7 @@ class ActuatorParameters(Parameters):
 
 @kernel
 def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
-    """Reading [m] of the sensor at the present sample; the sensor's state stores the true displacement."""
+    """Return the reading [m] of the sensor at the present sample; the sensor's state stores the true displacement."""
     displacement = linear_output(dynamics_p, dynamics_x) + sensor_p[PRELOAD]
     sensor_x[DISPLACEMENT] = displacement
     return sensor(sensor_p, sensor_x, displacement)
@@ -90,13 +90,13 @@ def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
 
 @nested
 def actuator_measure(ps, xs):
-    """Reading [m] of the sensor of an actuator; ``ps`` and ``xs`` are :class:`ActuatorArrays`."""
+    """Return the reading [m] of an actuator's sensor; ``ps`` and ``xs`` are :class:`ActuatorArrays`."""
     return reading(ps.dynamics, xs.dynamics, ps.sensor, xs.sensor)
 
 
 @nested
 def actuator_force(ps, xs):
-    """Return the reading of the force sensor [N], NaN if there is no sensor; call it once per sample."""
+    """Return the reading of the force sensor [N], or NaN if there is no sensor; call it once per sample."""
     displacement = linear_output(ps.dynamics, xs.dynamics) if ps.force.shape[0] > 0 else 0.0
     return force_reading(ps.force, xs.force, displacement)
 
@@ -128,7 +128,7 @@ class Actuator(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message names each of them.
+        Parameters are wrong; the message states each of them.
     """
 
     def __init__(self, parameters: ActuatorParameters, sample_time: float):
@@ -150,7 +150,7 @@ class Actuator(Chain):
         self._settle()
 
     def _settle(self) -> None:
-        """Set creep and dynamics to their steady state at the initial voltage of the limits."""
+        """Set creep and dynamics to their steady state for the initial voltage of the limits."""
         start = self.hysteresis.step(self.limits.x[OUTPUT])
         rest = self.creep.settle(start)
         self.dynamics.settle(rest)
@@ -159,15 +159,15 @@ class Actuator(Chain):
         self.xs.sensor[sensing.MEASURED] = self.xs.sensor[DISPLACEMENT] + self.ps.sensor[sensing.OFFSET]
 
     def measure(self) -> float:
-        """Return the sensor's reading [m] at the present sample; call it once per sample (it draws the noise)."""
+        """Return the reading [m] of the sensor; call it once per sample, because each call generates noise."""
         return interpreted(actuator_measure)(self.ps, self.xs)
 
     def measure_force(self) -> float:
-        """Return the reading [N] of the force sensor, NaN without one; call it once per sample: it draws noise."""
+        """Return the reading [N] of the force sensor, NaN without one; call it once per sample: it generates noise."""
         return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:
-        """Hold ``voltage`` [V] for one sample and return the output voltage of the amplifier [V]."""
+        """Hold ``voltage`` [V] for one sample; return the output voltage of the amplifier [V]."""
         return interpreted(actuator_advance)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
 
     @property
@@ -186,7 +186,7 @@ class Actuator(Chain):
         return self.limits.saturated
 
     def reset(self) -> None:
-        """Return to rest, with the hysteresis in its initial state and the noise restarted."""
+        """Return to rest; the hysteresis is in its initial state, and the noise starts again."""
         for block in (self.limits, self.hysteresis, self.creep, self.dynamics, self.sensor):
             block.reset()
         self.xs.force[:] = force_state(self.parameters.force_sensor)
@@ -198,7 +198,7 @@ class Actuator(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure; nothing is changed then.
+            The parameters are wrong or change the structure. Nothing is changed then.
         """
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)

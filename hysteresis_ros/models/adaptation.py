@@ -7,27 +7,28 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Online adaptation of an inverse: recursive least squares on the weights of its model while the axis runs.
+"""Online adaptation of an inverse: recursive least squares for the weights of its model, while the axis runs.
 
-The models are linear in their weights, displacement = Σ f_i w_i z_i. Here f_i is the factor on an identified weight
-w_i, and the weight multiplies z_i, a play operator or the voltage. Each term φ_i = w_i z_i, computed from the output
-voltage, passes the model's creep, linear dynamics and delay, so that these are not identified as hysteresis. Terms and
-measurement then pass the same high-pass filter, so that an offset or a drift is not identified as gain. The factors are
-fitted by least squares with exponential forgetting, over the used samples k [1]_:
+The models are linear in their weights, displacement = Σ f_i w_i z_i. Here f_i is the adapted factor on an identified
+weight w_i, and z_i is the signal that the weight multiplies: the output of a play operator, or the voltage. Each term
+φ_i = w_i z_i is computed from the output voltage and passes through the model's creep, linear dynamics and delay, so
+that these are not identified as hysteresis. Terms and measurement then pass through the same high-pass filter, so that
+an offset or a drift is not identified as gain. The factors are fitted by least squares with exponential forgetting,
+over all samples k that are used [1]_:
 
 minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)   within  1/range ≤ f_i ≤ range
 
 The normal equations are stored as running means of φ φ' and φ y. They are not inverted, so the estimates do not wind up
-without excitation. R = ε² P⁻¹ is the prior: weights that the reference does not excite follow the excited ones. P is
-the sum of three covariances: of a factor common to all weights, of one common to the weights that widen the loops, and
-of one factor for each weight. The bounds keep the weights above zero, so that an inverse exists. One sweep of
-coordinate descent per sample tracks the minimum. No factor leaves its bounds or changes faster than ``rate``. The
-model's offset compensates the change of the weights: the model's present displacement does not change, and the voltage
-does not jump. Afterwards the offset follows slow changes.
+without excitation. R = ε² P⁻¹ represents the prior: weights that the reference does not excite follow the excited ones.
+P is the sum of three covariances: of a factor common to all weights, of a factor common to the weights that widen the
+loops, and of an individual factor for each weight. The bounds keep the weights above zero, so that an inverse exists.
+One sweep of coordinate descent per sample tracks the minimum. No factor leaves its bounds or changes faster than
+``rate``. The model's offset compensates the change of the weights, so that the model's present displacement does not
+change and the voltage does not jump. Afterwards the offset follows slow changes.
 
 Dead zones after the sum make the displacement nonlinear in f. Their thresholds scale with the gain g = Σ f_i w_i / Σ
-w_i, so the displacement is homogeneous in f. By Euler's theorem it equals the sum of its derivatives times f, and these
-derivatives are used as the terms.
+w_i, so the displacement is homogeneous in f. By Euler's theorem, the displacement is the sum over i of f_i times its
+derivative with respect to f_i, and these derivatives are used as the terms.
 
 Each model declares the indices of its weights (:class:`~hysteresis_ros.models.declaration.LinearTerms`).
 
@@ -56,7 +57,7 @@ from hysteresis_ros.models.linear_algebra import product, solve
 TERMS = 0
 ZONES = 1
 CREEP_STATES = 2
-FILTER_STATES = 3  # number of states of creep and dynamics per term
+FILTER_STATES = 3  # number of states of creep and dynamics for each term
 SLOW_SHARE = 4  # weight of a sample in the slow components, which the high-pass filter removes
 KEPT_SHARE = 5  # weight of a sample in the running means
 LARGEST_FACTOR = 6
@@ -67,22 +68,22 @@ SETTLING_SAMPLES = 10
 OUTPUT_PLACE = 11  # indices of the last output in the model's state and of the offset in its parameters; or NOWHERE
 OFFSET_PLACE = 12
 OFFSET = 13  # identified [m]
-OFFSET_SHARE = 14  # fraction of the offset's error corrected per sample
+OFFSET_SHARE = 14  # fraction of the offset's error that is corrected per sample
 OWN_PARAMETERS = 15
 
 # Layout of x.own.
 STATE = 0  # one of the states below
-TOLD = 1  # 1 while a service keeps the adaptation frozen
+TOLD = 1  # 1 while a service has frozen the adaptation
 BEGUN = 2  # 1 after the first measurement
-WAIT = 3  # samples before learning begins
+WAIT = 3  # number of samples before learning begins
 POWER = 4  # mean square of the high-pass filtered modelled displacement [m²]
-ERROR_POWER = 5  # mean square of measurement minus model [m²]
+ERROR_POWER = 5  # mean square of the error, measurement minus model [m²]
 LAST = 6  # last measurement [m]
 LAST_MODELLED = 7  # [m]
 UNUSABLE = 8  # number of consecutive implausible measurements
-GAIN = 9  # gain of all weights, relative to the identified ones
-MOVED = 10  # change of the offset from the identified one [m]
-ZEROED = 11  # 1 after the origin of the displacement is known
+GAIN = 9  # gain of all weights together, relative to the identified weights
+MOVED = 10  # change of the offset from its identified value [m]
+ZEROED = 11  # 1 once the origin of the displacement is known
 ZERO = 12  # measurement at zero displacement [m]
 OWN_STATES = 13
 
@@ -103,7 +104,7 @@ class AdaptationSettings(NamedTuple):
     """Parameter arrays of an adaptation."""
 
     own: np.ndarray
-    #: Indices of the weights in p and of their play outputs in x, then of the dead zones' thresholds and slopes in p.
+    #: Indices of the weights in p, of their play outputs in x, and of thresholds and slopes of the dead zones in p.
     places: np.ndarray
     nominal: np.ndarray  # identified weights, then thresholds
     prior: np.ndarray  # R, row by row [m²]
@@ -124,7 +125,7 @@ class AdaptationStates(NamedTuple):
 
 @kernel
 def bent(own, places, p, total, slope):
-    """Return the output of the dead zones [m] for the sum ``total`` of the terms; their slope if ``slope`` is not 0."""
+    """Return the output of the dead zones [m] for the sum ``total`` of the terms; if ``slope`` is not 0, the slope."""
     terms, zones = int(own[TERMS]), int(own[ZONES])
     y, steepness = total, 1.0
     for j in range(zones):
@@ -154,7 +155,7 @@ def summed(own, places, p_h, x_h, voltage):
 
 @called
 def drive(settings, states, creep_p, p_h, x_h, voltage):
-    """Advance creep and dynamics of the model's terms by one sample, at the output ``voltage`` [V].
+    """Advance creep and dynamics of all terms by one sample with the output ``voltage`` [V].
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
     weights = 0.0
     for i in range(terms):
         weights += p_h[int(places[i])]
-    # contribution of the thresholds, which scale with the gain, to the displacement
+    # the thresholds scale with the gain, so they also contribute to the displacement
     shared = (bent(own, places, p_h, total, 0.0) - slope * total) / weights
     for i in range(terms):
         term = settings.nominal[i] * (slope * signal(places, terms, x_h, voltage, i) + shared)
@@ -189,7 +190,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
 
 @called
 def arrive(settings, states):
-    """Return the sum of the terms at the sensor [m], high-pass filtered and unfiltered."""
+    """Return the sum of the terms at the sensor [m]: high-pass filtered, and unfiltered."""
     own, slow, terms, factors = settings.own, states.slow, states.terms, states.factors
     count, creeping, length = int(own[TERMS]), int(own[CREEP_STATES]), int(own[FILTER_STATES])
     share, begun = own[SLOW_SHARE], states.own[BEGUN] != 0.0
@@ -213,10 +214,10 @@ def arrive(settings, states):
 
 @called
 def believe(settings, states, measured, modelled, whole):
-    """Store the displacement [m] that is used as measurement; return whether it was measured.
+    """Store the displacement [m] that is used as the measurement; return whether it really was measured.
 
-    The model replaces a missing or implausible measurement. After too many consecutive implausible measurements, the
-    model is assumed to be wrong and the measurement is used.
+    A missing or implausible measurement is replaced by the model's displacement. After too many consecutive implausible
+    measurements, the model is assumed to be wrong, and the measurement is used.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     level = int(own_p[TERMS]) + 1
@@ -264,9 +265,9 @@ def learn(settings, states, measured, usable):
     settings : AdaptationSettings
     states : AdaptationStates
     measured : float
-        Measurement [m]; NaN: none.
+        Measurement [m]; NaN: there is none.
     usable : float
-        0: do not learn from this sample.
+        0: the adaptation does not learn from this sample.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     count, share = int(own_p[TERMS]), own_p[SLOW_SHARE]
@@ -305,7 +306,7 @@ def learn(settings, states, measured, usable):
 def put_in(settings, states, p_h, x_h, voltage):
     """Write the factors into the weights of the model without a jump of its output.
 
-    The offset compensates the change of the weights; the memory of the model is kept.
+    The offset compensates the change of the weights; the memory of the model does not change.
     """
     own, places, nominal = settings.own, settings.places, settings.nominal
     terms, zones, offset = int(own[TERMS]), int(own[ZONES]), int(own[OFFSET_PLACE])
@@ -333,23 +334,23 @@ def put_in(settings, states, p_h, x_h, voltage):
 
 @called
 def adapt(settings, states, p_h, x_h, voltage, measured, usable):
-    """Learn from a measurement and update the model, with the arguments of :func:`drive` and :func:`learn`.
+    """Learn from a measurement and update the model; for the arguments see :func:`drive` and :func:`learn`.
 
-    A node calls this function from Python, so it combines both steps in one call.
+    A node calls this function from Python, so both steps are combined in one call.
     """
     if learn(settings, states, measured, usable):
         put_in(settings, states, p_h, x_h, voltage)
 
 
-#: Maximum number of adapted weights: the computing time grows with its square.
+#: Maximum number of adapted weights, because the computing time grows with the square of their number.
 MOST_WEIGHTS = 32
-#: Prior standard deviations: of the gain, of the loop width, and additionally of each weight.
+#: Standard deviations of the prior: of the common gain, of the loop width, and of each weight in addition.
 COMMON, OPENING, EACH = 0.3, 0.3, 1.0
 #: ε: residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
-#: Waiting time before learning continues after the axis has stopped, in time constants of the high-pass filter.
+#: Waiting time until learning continues after the axis has stopped, in time constants of the high-pass filter.
 SETTLING = 5.0
-#: Time constant with which the offset follows slow changes, in time constants of the filter.
+#: Time constant with which the offset follows slow changes, in time constants of the high-pass filter.
 OFFSET_TIME = 10.0
 
 
@@ -405,7 +406,7 @@ class AdaptationParameters(Parameters):
     dynamics: LinearParameters = group(LinearParameters)
 
     def fits(self, hysteresis: HysteresisParameters, inverse: str):
-        """Yield a Problem when the weights of this model cannot be adapted with this inverse.
+        """Yield a Problem if the weights of the model ``hysteresis`` cannot be adapted with this inverse.
 
         Parameters
         ----------
@@ -446,7 +447,7 @@ class Adaptation(Chain):
     parameters : AdaptationParameters
         Parameters of type recursive.
     compensator : Compensator
-        The compensator of the model; its parameters already include the factors.
+        The compensator with the model; its parameters already include the factors.
 
     Attributes
     ----------
@@ -475,7 +476,7 @@ class Adaptation(Chain):
         self.reset()
 
     def _pack(self) -> None:
-        """Compute the numbers that depend on parameters and identified model."""
+        """Compute the numbers that depend on the parameters and on the identified model."""
         parameters, compensator, time = self.parameters, self.compensator, self.sample_time
         self.identified = self._given.changed(self._given.model.weighted(self._given.chosen, 1.0 / self._initial))
         model = hysteresis_block(self.identified, time)
@@ -523,7 +524,7 @@ class Adaptation(Chain):
 
     @property
     def hysteresis(self) -> HysteresisParameters:
-        """The present model."""
+        """The present model, with the present weights and offset."""
         return self.weighted.shifted(float(self.xs.own[MOVED]))
 
     def freeze(self) -> None:
@@ -535,7 +536,7 @@ class Adaptation(Chain):
         self.xs.own[TOLD] = 0.0
 
     def forget(self) -> None:
-        """Reset all factors to 1 and clear the measurements; the caller resets the model's weights."""
+        """Reset all factors to 1 and clear the measurements; the caller must reset the model's weights."""
         self.xs.factors[:] = 1.0
         self.xs.squares[:] = 0.0
         self.xs.products[:] = 0.0
@@ -551,7 +552,7 @@ class Adaptation(Chain):
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
         self._rest()
-        # the voltage history of the axis is unknown
+        # the history of the axis' voltage is not known
         self.xs.own[WAIT] = self.settings.own[SETTLING_SAMPLES]
         self._count_from_zero()
 
@@ -560,7 +561,7 @@ class Adaptation(Chain):
         self.xs.own[ZERO] = self.parameters.zero
 
     def _rest(self) -> None:
-        """Set creep and dynamics of each term to their steady state at the compensator's present state."""
+        """Set creep and dynamics of each term to their steady state for the compensator's present state."""
         compensator, length = self.compensator, int(self.settings.own[FILTER_STATES])
         creep, block = Creep(compensator.creep.parameters, self.sample_time), compensator.hysteresis
         self.dynamics.settle(creep.settle(1.0))
@@ -572,19 +573,19 @@ class Adaptation(Chain):
         filters[:] = terms[:, np.newaxis] * unit
 
     def retune(self, parameters: AdaptationParameters, hysteresis: HysteresisParameters) -> None:
-        """Change the settings; the factors restart at 1 if the identified model has changed.
+        """Change the settings; if the identified model has changed, the factors start again at 1.
 
         Parameters
         ----------
         parameters : AdaptationParameters
-            Parameters with dynamics of the same order.
+            Parameters; the dynamics must have the same order.
         hysteresis : HysteresisParameters
-            The given model.
+            The identified model.
 
         Raises
         ------
         ParameterError
-            The order of the dynamics differs; nothing is changed then.
+            The order of the dynamics differs. Nothing is changed then.
         """
         self.dynamics.retune(parameters.dynamics)
         self.parameters = parameters

@@ -9,15 +9,16 @@
 
 """Blocks: every model, inverse, controller and observer is a kernel over plain arrays with a small class around it.
 
-A *kernel* is a function ``y = kernel(p, x, u)`` over contiguous float64 arrays: parameters ``p`` (read only), state
-``x`` (updated in place), input ``u`` and output ``y`` scalars. Controllers are ``u = kernel(p, x, r, y)`` with
-reference r and measurement y. Kernels allocate nothing and do not depend on ROS. With Numba (optional extra ``fast``)
-the same source is compiled; without it the same source runs as plain Python and agrees to 1e-12 of full scale.
+A *kernel* is a function ``y = kernel(p, x, u)`` over contiguous float64 arrays: ``p`` contains the parameters (read
+only), ``x`` the state (updated in place); input ``u`` and output ``y`` are scalars. The kernel of a controller is ``u =
+kernel(p, x, r, y)`` with reference r and measurement y. Kernels allocate nothing and do not depend on ROS. With Numba
+(optional extra ``fast``) this source is compiled; without Numba it runs as plain Python, and the results agree to 1e-12
+of full scale.
 
 A *composite* connects kernels that it receives as arguments (plant, compensator, closed loop). Offline loops run it
 compiled. A node calls it once per sample and runs its Python form with compiled kernels, because passing functions to
-compiled code costs 25 µs per call, and calling a compiled kernel 0.2 µs. Both forms do the same IEEE arithmetic in the
-same order, so their results are equal bit for bit.
+compiled code takes 25 µs per call, but calling a compiled kernel takes 0.2 µs. Both forms do the same IEEE arithmetic
+in the same order, so their results are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ try:
 except ImportError:  # the optional extra `fast` is not installed
     numba = None
 
-#: True when kernels are compiled.
+#: Whether kernels are compiled.
 COMPILED = numba is not None and not numba.config.DISABLE_JIT
 
 
@@ -62,7 +63,8 @@ def _leave_blas_for_later() -> None:
     """Import the modules that Numba imports for its first kernel, except the linear algebra of SciPy.
 
     Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of a node's start time. No kernel
-    here uses a BLAS. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.
+    here uses a BLAS. A placeholder in the module table prevents this import; code that uses a BLAS still imports it
+    later.
     """
     name = "scipy.linalg.cython_blas"
     if name in sys.modules:
@@ -79,10 +81,10 @@ def _leave_blas_for_later() -> None:
 if COMPILED:
     _leave_blas_for_later()
 
-# Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to 90 %
-# of the time of a small kernel. With counting off (`_nrt`), a kernel that allocates does not compile.
+# Kernels allocate nothing, so the references to their arrays need not be counted: the (atomic) counting takes up to 90
+# % of the time of a small kernel. With counting off (`_nrt`), a kernel that allocates does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-# Options of functions that only compiled code calls: without the entry points for Python and C, which take time to
+# Options of functions that only compiled code calls: they get no entry points for Python and C, which take time to
 # compile.
 _WITHIN: dict[str, Any] = {
     "error_model": "numpy",
@@ -96,10 +98,10 @@ _EACH: Any = _WITHIN
 
 @contextlib.contextmanager
 def _cache_directory():
-    """Direct Numba to the cache of these sources while a kernel is declared.
+    """Let Numba use the cache of these sources while a kernel is declared.
 
-    Numba detects changes of a function's own file, but not of the functions it calls, so a cache next to the sources
-    would return stale code after an update. A folder named after a digest of all sources does not.
+    Numba detects changes of a function's own file, but not of the functions that it calls. A cache next to the sources
+    would therefore return stale code after an update. A folder named after a digest of all sources does not.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         yield
@@ -112,16 +114,16 @@ def _cache_directory():
         numba.config.CACHE_DIR = before
 
 
-#: Folders of the package whose kernels are compiled; the digest is over their sources.
+#: Folders of the package with kernels that are compiled; the digest includes all their sources.
 KERNEL_FOLDERS = (".", "models", "control", "references", "loop")
 
-#: Days after which the cache of an older source is removed.
+#: Number of days after which an unused cache of older sources is removed.
 CACHE_DAYS = 30
 
 
 @functools.cache
 def cache_folder() -> pathlib.Path:
-    """Return the folder with the machine code of these sources; remove unused folders of older sources."""
+    """Return the folder with the machine code of these sources; remove folders of older sources that are unused."""
     base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
     root = pathlib.Path(base) / "hysteresis_ros"
     package = pathlib.Path(__file__).parents[1]
@@ -130,7 +132,7 @@ def cache_folder() -> pathlib.Path:
         for path in sorted((package / folder).glob("*.py" if folder == "." else "**/*.py")):
             digest.update(path.read_bytes())
     chosen = root / digest.hexdigest()[:16]
-    # an optional clean-up; a failure has no effect
+    # the clean-up is optional, so a failure has no effect
     with contextlib.suppress(OSError):
         oldest = time.time() - CACHE_DAYS * 86400
         for other in root.iterdir():
@@ -144,19 +146,20 @@ def cache_folder() -> pathlib.Path:
 
 def kernel(function):
     """Mark ``function`` as a kernel or composite: compiled on first use with Numba, unchanged without it."""
-    # inlined, because passing arrays (seven words each) between kernels costs more than a small kernel itself
+    # inlined, because passing arrays (seven words each) between kernels takes longer than a small kernel itself
     return _in_two_forms(function, forceinline=True)
 
 
 def called(function):
-    """Mark a kernel that other kernels call instead of inlining it; for long kernels that seldom run completely."""
+    """Mark a kernel that other kernels call and do not inline; for long kernels that are seldom executed completely."""
     return _in_two_forms(function)
 
 
 def _in_two_forms(function, **options):
-    """Return the form of a kernel that Python calls or passes as an argument; kernels that call it by name use another.
+    """Return the form of a kernel that Python calls or passes as an argument; a kernel that calls it uses another form.
 
-    Each form is compiled on first use: a kernel that only kernels call gets no entry points and no file in the cache.
+    Each form is compiled on first use. Therefore a kernel that only kernels call gets no entry points and no cache
+    file.
     """
     if not COMPILED:
         return function
@@ -169,7 +172,7 @@ def _in_two_forms(function, **options):
 if COMPILED:
 
     class _Within(numba.types.Dispatcher):
-        """Type of a kernel that another kernel calls by name; compiled once for all literal numbers in the calls."""
+        """Type of a kernel that another kernel calls by name; compiled only once for all literal numbers in calls."""
 
         def get_call_type(self, context, args, kws):
             unliteral = numba.types.unliteral
@@ -186,15 +189,15 @@ if COMPILED:
 
 
 def nested(function):
-    """Mark a composite that other composites call; it is compiled with them, and is plain Python when Python calls it.
+    """Mark a composite that other composites call: it is compiled as part of them, and is plain Python for Python.
 
-    When Python calls it, its kernels arrive as compiled functions (0.2-0.3 µs per call).
+    If Python calls it, its kernels are passed as compiled functions (0.2-0.3 µs per call).
     """
     if COMPILED:
         register_jitable(forceinline=True, **_WITHIN)(function)
-        # Numba inlines a function with this attribute. Without the attribute each level would also be compiled on its
-        # own, including all levels below, which takes a third of the time of a cold start. A version of Numba that
-        # ignores the attribute uses the form registered above.
+        # Numba inlines a function with this attribute. Without it, each level would also be compiled separately,
+        # including all levels below it, which takes a third of the time of a cold start. A version of Numba that
+        # ignores the attribute uses the form that is registered above.
         function.targetoptions, function.py_func = {"inline": "always"}, function
     return function
 
@@ -202,8 +205,8 @@ def nested(function):
 def by_part(function):
     """Mark a composite that exists in one form for each kind of part; the type of ``part`` decides which form runs.
 
-    ``function(laws, part, row)`` gets an attribute ``kinds``, a dict of part classes (named tuples of arrays) to
-    composites of the same arguments; the choice is made at compile time, so it takes no time in a sample.
+    ``function(laws, part, row)`` gets an attribute ``kinds``: a dict from classes of parts (named tuples of arrays) to
+    composites with the same arguments. The form is chosen at compile time, so the choice takes no time in a sample.
     """
     kinds: dict = {}
 
@@ -215,7 +218,7 @@ def by_part(function):
     choose.__name__ = choose.__qualname__ = function.__name__
     choose.__doc__, choose.__module__ = function.__doc__, function.__module__
     if COMPILED:
-        # the names are not compared: the forms may name their arguments differently
+        # the names are not compared, because the forms may name their arguments differently
         @overload(choose, jit_options=_BY_PART, strict=False)
         def compiled_form(laws, part, row):
             return kinds[part.instance_class]
@@ -224,11 +227,11 @@ def by_part(function):
 
 
 def each(function):
-    """Mark a composite ``function(laws, parts, row)`` of one axis that runs for all axes of a stage.
+    """Mark a composite ``function(laws, parts, row)`` of one axis, so that it runs for all axes of a stage.
 
-    The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order. The
-    compiled form divides the tuples into halves, so axes may have parts of different classes. Axes, or halves, of the
-    same classes share the same machine code.
+    The resulting function takes a tuple of laws, a tuple of parts, and a table with one row for each axis, in the same
+    order. The compiled form divides the tuples into halves, so the axes may have parts of different classes. Axes, or
+    halves, with the same classes use the same machine code.
     """
 
     def over(laws, parts, rows):
@@ -258,7 +261,7 @@ def each(function):
 
 
 class Stored:
-    """Arguments of compiled code, unpacked in advance instead of at every call; :func:`contents` returns them.
+    """Arguments of compiled code that are unpacked once instead of at every call; :func:`contents` returns them.
 
     Parameters
     ----------
@@ -288,7 +291,7 @@ def contents(stored):
 
 
 def _written(memory, arguments):
-    """Write arguments into the memory of :class:`Stored`, in compiled code only."""
+    """Write arguments into the memory of :class:`Stored`; for compiled code only."""
 
 
 def _store(memory, arguments):
@@ -330,7 +333,7 @@ if COMPILED:
 
     @lower_builtin(contents, _StoredType)
     def _read(context, builder, signature, arguments):
-        """Read every word separately, so that the compiler can leave out unused words."""
+        """Read every word separately, so that the compiler can omit the unused words."""
         zero = context.get_constant(numba.types.int32, 0)
 
         def read(pointer):
@@ -348,9 +351,9 @@ if COMPILED:
 
 
 def displaced(arrays, distance):
-    """Return nested named tuples of arrays that lie ``distance`` numbers after these in the same block of memory.
+    """Return named tuples with arrays that are ``distance`` numbers after the given ones in the same block of memory.
 
-    The arrays are slices of one float64 array. In compiled code only pointers move, at almost no cost.
+    All arrays are slices of one float64 array. Compiled code only moves pointers, which takes hardly any time.
     """
     if isinstance(arrays, tuple):
         return type(arrays)(*(displaced(array, distance) for array in arrays))
@@ -387,9 +390,9 @@ def interpreted(function):
 
 
 def kernels_of(*names: str):
-    """Mark a named tuple of kernels, in the words of :func:`signature`, so that compiled code takes it as one argument.
+    """Mark a named tuple of kernels, given in the words of :func:`signature`, as one argument of compiled code.
 
-    The kernels in it are first-class functions, so the same machine code works with any kernels.
+    The kernels in the tuple are first-class functions, so the same machine code works with any kernels.
     """
 
     def mark(cls):
@@ -402,17 +405,17 @@ def kernels_of(*names: str):
 
 
 def specialised(function, *arguments):
-    """Return the machine code of a composite for arguments of these types (the function itself without Numba).
+    """Return the machine code of a composite for arguments of these types; without Numba, the function itself.
 
-    Calls release Python's lock, so that a loop whose driver is written in Python does not wait for them.
+    Its calls release Python's lock, so a loop with a driver written in Python need not wait for them.
 
     Parameters
     ----------
     function : function
         Plain function; it is compiled once for each combination of types and cached on disk.
     *arguments
-        Arguments of its calls: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`, and functions
-        that this function returned.
+        Arguments with which it will be called: arrays, named tuples of arrays, named tuples marked by
+        :func:`kernels_of`, and functions that this function has returned.
     """
     if not COMPILED:
         return function
@@ -426,17 +429,17 @@ def specialised(function, *arguments):
     return _compiled[key]
 
 
-#: Number of samples that are interpreted before a loop is compiled: compiling it takes as long as some 200 000 samples.
+#: Number of samples that are interpreted before a loop is compiled: compiling takes as long as some 200 000 samples.
 INTERPRETED = 20_000
 
 _interpreted: dict = {}
 
 
 def specialised_for(samples: int, function, *arguments):
-    """Return the faster way to run ``samples`` more samples: the machine code of a composite, or the function itself.
+    """Return the faster way to run ``samples`` more samples: machine code of a composite, or the function itself.
 
-    Both give identical results. The function itself is returned while neither this process nor the cache has machine
-    code for these arguments, and fewer than :data:`INTERPRETED` samples were interpreted with arguments of these types.
+    Both give identical results. The function itself is returned if neither this process nor the cache has machine code
+    for these arguments, and fewer than :data:`INTERPRETED` samples were run with arguments of these types.
     """
     if not COMPILED:
         return function
@@ -458,10 +461,10 @@ def _mark_of(function, arguments) -> pathlib.Path:
 
 
 def direct(function):
-    """Return a result of :func:`specialised` that does not look up the types of its arguments in each call.
+    """Return a form of a result of :func:`specialised` that does not look up the types of its arguments in each call.
 
-    The look-up takes a millisecond for all arrays of an axis. The arguments must have the types for which the function
-    was compiled, and arrays must be contiguous; this is not checked.
+    The look-up takes a millisecond for all arrays of an axis. It is not checked that the arguments have the types for
+    which the function was compiled, and that arrays are contiguous.
     """
     return function.get_overload(function.nopython_signatures[0]) if COMPILED else function
 
@@ -474,7 +477,7 @@ def _type_of(argument):
 
 
 def _structure(argument):
-    """Return a key of the type of an argument: classes of tuples and dimensions of arrays."""
+    """Return a key for the type of an argument: classes of tuples, and dimensions of arrays."""
     if isinstance(argument, Stored):
         return Stored, _structure(argument.arguments)
     if isinstance(argument, tuple):
@@ -483,10 +486,10 @@ def _structure(argument):
 
 
 def signature(*names):
-    """Return the Numba signature from words.
+    """Return the Numba signature for words.
 
-    The words are ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``;
-    and named tuples whose fields are all arrays.
+    The words are ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``. A
+    named tuple with array fields only may take the place of a word.
     """
     scalar, array = numba.float64, numba.float64[::1]
     kinds = {
@@ -513,8 +516,8 @@ def signature(*names):
 def composite(*names):
     """Mark a function that takes kernels as arguments, with its signature in the words of :func:`signature`.
 
-    The same machine code works with every combination of kernels, because they are first-class functions. It is
-    compiled (or read from the cache) at the first call of :func:`compiled`.
+    The same machine code works with every combination of kernels, because kernels are first-class functions. The code
+    is compiled, or read from the cache, at the first call of :func:`compiled`.
     """
 
     def mark(function):
@@ -528,7 +531,7 @@ _compiled: dict = {}
 
 
 def compiled(function):
-    """Return the machine-code form of a composite (the function itself without Numba)."""
+    """Return the machine-code form of a composite; without Numba, the function itself."""
     if not COMPILED:
         return function
     if function not in _compiled:
@@ -543,20 +546,20 @@ INVERSE = ("scalar", "kernel", "array", "array", "array", "array", "scalar")
 
 @composite("void", "kernel", "array", "array", "array", "array")
 def run_kernel(step, p, x, u, y):
-    """Fill ``y[k] = step(p, x, u[k])`` for all k."""
+    """Set ``y[k] = step(p, x, u[k])`` for every k."""
     for k in range(u.shape[0]):
         y[k] = step(p, x, u[k])
 
 
 class Chain:
-    """Several blocks in one; ``xs`` contains the state arrays of its parts."""
+    """Several blocks combined; ``xs`` contains the state arrays of the blocks."""
 
-    #: Named tuple of the state arrays of its parts.
+    #: Named tuple of the state arrays of the blocks.
     xs: Any
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of all states in one array; assign it to restore them exactly (with the same parameters)."""
+        """Copy of all states in one array; assign it to restore the states exactly (with the same parameters)."""
         return np.concatenate(self.xs)
 
     @state.setter
@@ -607,7 +610,7 @@ class Block:
         return self.kernel(self.p, self.x, float(u))
 
     def simulate(self, u) -> np.ndarray:
-        """Return the output, shape (N,), for the inputs ``u``, shape (N,), from the present state on."""
+        """Return the outputs, shape (N,), for the inputs ``u``, shape (N,), starting at the present state."""
         u = np.ascontiguousarray(u, dtype=np.float64)
         y = np.empty_like(u)
         compiled(run_kernel)(self.kernel, self.p, self.x, u, y)
@@ -619,7 +622,7 @@ class Block:
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of the state array; assign it to restore the state exactly."""
+        """Copy of the state array; assign it to restore the state exactly."""
         return self.x.copy()
 
     @state.setter
@@ -632,7 +635,7 @@ class Block:
         Raises
         ------
         ParameterError
-            The parameters are wrong; the block is unchanged then.
+            The parameters are wrong; the block stays unchanged then.
         """
         packed = np.ascontiguousarray(self.pack(parameters.validated()), dtype=np.float64)
         self.parameters = parameters

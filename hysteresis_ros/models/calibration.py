@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Calibration between a driver and an axis: readings to displacements [m], voltages to values for an amplifier.
+"""Calibration between a driver and an axis: from readings to displacements [m], from voltages to an amplifier's values.
 
 Sensor: displacement = sign · scale · P(reading) + offset. Amplifier: value = P(sign · (voltage − offset) / scale). The
-polynomial P, in the driver's unit, linearises the characteristic. A relative sensor measures from the position at which
-it was homed. A simulated plant needs no calibration.
+polynomial P, in the driver's unit, linearises the characteristic. A relative sensor measures the distance from the
+position at which it was homed. A simulated plant needs no calibration.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from hysteresis_ros.models.block import Block, kernel
 #: Maximum number of coefficients of a polynomial.
 COEFFICIENTS = 8
 
-# Layout of a sensor's p; the polynomial's coefficients follow, the constant first.
+# Layout of a sensor's p; then follow the coefficients of the polynomial, the constant first.
 SCALE, OFFSET, LOWEST, HIGHEST, RELATIVE, HOME, HOMING_SAMPLES, SENSOR_POLYNOMIAL = range(8)
 
 # Layout of a sensor's x: the last reading, number of readings beyond the range, subtracted position [m], number of
-# readings still needed for homing, their sum [m].
+# readings that homing still needs, and their sum [m].
 READING, BEYOND, ORIGIN, HOMING, SUM = range(5)
 SENSOR_STATES = 5
 
@@ -44,7 +44,7 @@ GAIN, ZERO, AMPLIFIER_POLYNOMIAL = range(3)
 
 @dataclass(frozen=True)
 class LineParameters(Parameters):
-    """Common parameters of sensor and amplifier."""
+    """Parameters that sensor and amplifier have in common."""
 
     sign: int = parameter(
         1, low=-1, high=1, read_only=True, description="1, or -1 if the displacement falls with a rising value"
@@ -171,7 +171,7 @@ class CalibrationParameters(Parameters):
 def rising_problems(coefficients: tuple[float, ...], low: float, high: float, unit: str) -> Iterator[Problem]:
     """Yield a Problem unless a polynomial rises everywhere from ``low`` to ``high`` [unit].
 
-    The constant is the first coefficient; without coefficients the polynomial is the value itself.
+    The first coefficient is the constant; without coefficients, the polynomial is the value itself.
     """
     if not coefficients:
         return
@@ -189,10 +189,10 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
 
 
 def _turns(slope: Any, low: float, high: float) -> list[float]:
-    """Return the extrema of a polynomial between two values."""
+    """Return the values between two ends at which a polynomial has an extremum."""
     if not low < high:
         return []
-    # for a variable scaled to -1 … 1 the coefficients are comparable, so negligible ones can be dropped
+    # for a variable scaled to -1 … 1, the coefficients are comparable, so negligible ones can be dropped
     curve = slope.deriv().convert(domain=[low, high])
     largest = np.max(np.abs(curve.coef))
     if not np.isfinite(largest):
@@ -212,7 +212,7 @@ def evaluated(p, first, value):
 
 @kernel
 def sensor_displacement(p, x, reading):
-    """Return the displacement [m] of a reading; NaN for an invalid reading and while a relative sensor is homed."""
+    """Return the displacement [m] of a reading; NaN if it is invalid, or while a relative sensor is being homed."""
     x[READING] = reading
     if reading != reading:
         return math.nan
@@ -241,7 +241,7 @@ def _padded(coefficients: tuple[float, ...]) -> np.ndarray:
 
 
 class SensorCalibration(Block):
-    """Converts the readings of a driver to displacements [m].
+    """Conversion of a driver's readings to displacements [m].
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ class SensorCalibration(Block):
         return x
 
     def reading(self, displacement: float) -> float:
-        """Return the reading of an absolute sensor at a displacement [m], also beyond its valid readings.
+        """Return the reading of an absolute sensor at a displacement [m], also outside its valid readings.
 
         Parameters
         ----------
@@ -282,17 +282,17 @@ class SensorCalibration(Block):
         roots = curve.roots()
         real = roots[np.abs(roots.imag) <= 1e-9 * np.maximum(np.abs(roots), 1e-300)].real
         low, high = self.p[LOWEST], self.p[HIGHEST]
-        # the polynomial rises between the valid readings, so at most one root lies there
+        # between the valid readings the polynomial increases, so it has at most one root there
         beyond = np.maximum(np.maximum(low - real, real - high), 0.0)
         return float(real[np.argmin(beyond)])
 
     def begin_homing(self) -> None:
-        """Home a relative sensor with its next readings; an absolute sensor is not changed."""
+        """Home a relative sensor with its next readings; an absolute sensor does not change."""
         self.x[HOMING], self.x[SUM] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0, 0.0
 
     @property
     def homing(self) -> bool:
-        """Whether a relative sensor is not homed yet."""
+        """Whether a relative sensor still has to be homed."""
         return bool(self.x[HOMING] > 0.0)
 
     @property
@@ -309,7 +309,7 @@ class SensorCalibration(Block):
 
 
 class AmplifierCalibration:
-    """Converts voltages at the actuator to values of a driver.
+    """Conversion of voltages at the actuator to values of a driver.
 
     Parameters
     ----------
@@ -331,9 +331,9 @@ class AmplifierCalibration:
         return amplifier_value(self.p, float(voltage))
 
     def require_range(self, low: float, high: float, prefix: str) -> None:
-        """Raise ParameterError unless the polynomial rises between these voltages [V].
+        """Raise ParameterError unless the polynomial increases between these voltages [V].
 
-        Otherwise one value would belong to several voltages. ``prefix`` is that of the name of the parameter.
+        Otherwise a value would belong to several voltages. ``prefix`` is that of the parameter's name.
         """
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))

@@ -9,9 +9,9 @@
 
 """Clamp of an inchworm motor: a normally open piezo that presses on the slider.
 
-voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) where K is the
-combined stiffness of clamp and contact, and w the wear factor. Static friction holds up to μ_s N, sliding friction is
-μ_k N.
+voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)), where K is the
+combined stiffness of clamp and contact, and w the wear factor. Static friction can hold up to μ_s N; sliding friction
+is μ_k N.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from hysteresis_ros.models.limits import FLAGS, OUTPUT, UNQUANTISED, Limits, Lim
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
 
-# Layout of ps.contact, after the sensor's own parameters.
+# Layout of ps.contact; the sensor's own parameters come first.
 GAP = 3  # [m]
 STIFFNESS = 4  # [N/m], including the wear factor
 STATIC = 5  # coefficients of friction
 KINETIC = 6
 
-# Layout of xs.contact, after the sensor's own state.
+# Layout of xs.contact; the sensor's own state comes first.
 DISPLACEMENT = sensing.STATES  # [m]
 NORMAL = sensing.STATES + 1  # normal force [N]
 
 
 class ClampArrays(NamedTuple):
-    """Parameter arrays, or state arrays, of a clamp; the array of the contact begins with that of the sensor."""
+    """Parameter arrays, or state arrays, of a clamp; the array of the contact begins with the array of the sensor."""
 
     limits: np.ndarray
     hysteresis: np.ndarray
@@ -52,7 +52,7 @@ class ClampArrays(NamedTuple):
     contact: np.ndarray
 
 
-#: Number of samples of 1 ms after which a hysteresis model with internal dynamics is assumed to be at rest.
+#: Number of samples of 1 ms after which a hysteresis model with internal dynamics counts as being at rest.
 RESTING_SAMPLES = 20000
 
 
@@ -87,7 +87,7 @@ class LagParameters(Parameters):
             decay = elementary.exp(-sample_time / self.first_order.time_constant)
             return LinearParameters(A=(decay,), B=(1.0 - decay,), C=(1.0,))
         omega, damping = 2.0 * math.pi * self.second_order.frequency, self.second_order.damping
-        # states: displacement and velocity/ω; the exponential of a 2 × 2 matrix in closed form
+        # states: displacement and velocity/ω; the exponential of a 2 × 2 matrix has a closed form
         decay = damping * omega * sample_time
         turned = math.sqrt(abs(damping * damping - 1.0)) * omega * sample_time
         if damping < 1.0:
@@ -101,9 +101,9 @@ class LagParameters(Parameters):
         return LinearParameters(A=A, B=(1.0 - A[0], -A[2]), C=(1.0, 0.0))
 
     def settling_time(self, tolerance: float = 0.02) -> float:
-        """Return the time [s] after a step beyond which the lag stays within ``tolerance`` of the step.
+        """Return the time [s] from a step until the lag stays within ``tolerance``, a fraction of the step.
 
-        Exact without overshoot; for a damping ratio below 1 it is the settling time of the envelope.
+        The time is exact without overshoot; for a damping ratio below 1, it is the settling time of the envelope.
         """
         if self.type == "first_order":
             return -self.first_order.time_constant * elementary.log(tolerance)
@@ -160,7 +160,7 @@ class ClampParameters(Parameters):
     sensor: SensorParameters = group(SensorParameters)
 
     def check(self):
-        """Yield a Problem when kinetic exceeds static friction, and when the clamp never grips or never opens."""
+        """Yield a Problem if kinetic friction exceeds static friction, or if the clamp never grips or never opens."""
         if self.kinetic_friction > self.static_friction:
             remedy = f"must not be above static_friction = {self.static_friction:g}"
             yield Problem("kinetic_friction", self.kinetic_friction, remedy)
@@ -182,7 +182,7 @@ class ClampParameters(Parameters):
             yield Problem("gap", self.gap, remedy)
 
     def _displacements(self, voltages) -> list[float]:
-        """Return the steady-state displacement [m] at each of the voltages [V], applied one after the other."""
+        """Return the steady-state displacement [m] at each of the voltages [V], which are applied in this order."""
         block = hysteresis_block(self.hysteresis, 1e-3)
         low, high = self.limits.minimum, self.limits.maximum
         limited = [min(max(voltage, low), high) for voltage in voltages]
@@ -194,21 +194,22 @@ class ClampParameters(Parameters):
     def normal_force(self, voltage: float) -> float:
         """Return the steady-state normal force [N] at ``voltage`` [V].
 
-        Because of hysteresis the force depends on the voltage history. The result is the smaller of two forces: at the
-        first closing, and at a closing after full opening.
+        Because of hysteresis, the force depends on the history of the voltage. The result is the smaller of two forces:
+        at the first closing, and at a closing after complete opening.
         """
         low = self.limits.minimum
         displacement = min(self._displacements((voltage, low, voltage))[::2])
         return self.wear * max(0.0, self.stiffness * (displacement - self.gap))
 
     def holding_force(self, voltage: float) -> float:
-        """Return the load [N] that static friction can hold in the steady state at ``voltage`` [V]."""
+        """Return the load [N] that static friction can hold in steady state at ``voltage`` [V]."""
         return self.static_friction * self.normal_force(voltage)
 
     def settling_time(self, tolerance: float = 0.02) -> float:
-        """Return the time [s] after which the displacement stays within ``tolerance`` of a step of the voltage.
+        """Return the time [s] from a step of the voltage until the displacement stays within ``tolerance`` of the step.
 
-        If the slew rate is limited, the time for the full voltage range at this rate is added, as an upper bound.
+        If the slew rate is limited, the time for the whole voltage range at this rate is added, which gives an upper
+        bound.
         """
         slew = self.limits.slew_rate
         ramp = (self.limits.maximum - self.limits.minimum) / slew if slew > 0.0 else 0.0
@@ -217,7 +218,7 @@ class ClampParameters(Parameters):
 
 @kernel
 def contact(p, x, displacement):
-    """Normal force [N] of a clamp at ``displacement`` [m]."""
+    """Return the normal force [N] of a clamp at ``displacement`` [m]."""
     x[DISPLACEMENT] = displacement
     x[NORMAL] = p[STIFFNESS] * max(0.0, displacement - p[GAP])
     return x[NORMAL]
@@ -229,14 +230,14 @@ class Clamp(Chain):
     Parameters
     ----------
     parameters : ClampParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
 
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message names each of them.
+        Parameters are wrong; the message states each of them.
     """
 
     def __init__(self, parameters: ClampParameters, sample_time: float):
@@ -260,7 +261,7 @@ class Clamp(Chain):
         return np.array([parameters.gap, parameters.stiffness * parameters.wear, *friction])
 
     def _settle(self) -> None:
-        """Set all states to the steady state at the initial voltage."""
+        """Set all states to the steady state for the initial voltage."""
         self.limits.x[UNQUANTISED] = (
             self.parameters.initial_voltage
         )  # initial value, so that the slew rate does not limit it
@@ -271,11 +272,11 @@ class Clamp(Chain):
         self.xs.contact[sensing.MEASURED] = self.displacement + self.ps.contact[sensing.OFFSET]
 
     def measure(self) -> float:
-        """Return the sensor's reading [m]; call it once per sample (it draws the noise)."""
+        """Return the reading [m] of the sensor; call it once per sample, because each call generates noise."""
         return sensor(self.ps.contact, self.xs.contact, self.displacement)
 
     def advance(self, voltage: float) -> float:
-        """Hold ``voltage`` [V] for one sample and return the normal force [N] at its end."""
+        """Hold ``voltage`` [V] for one sample; return the normal force [N] at the end of the sample."""
         displacement = self.lag.step(self.hysteresis.step(self.limits.step(voltage)))
         return contact(self.ps.contact, self.xs.contact, displacement)
 
@@ -295,13 +296,13 @@ class Clamp(Chain):
         return float(self.limits.x[OUTPUT])
 
     def reset(self) -> None:
-        """Return to rest at the initial voltage, with the hysteresis in its initial state and the noise restarted."""
+        """Return to rest at the initial voltage; the hysteresis is in its initial state, and the noise starts again."""
         for block in (self.limits, self.hysteresis, self.lag, self.sensor):
             block.reset()
         self._settle()
 
     def check_retune(self, parameters: ClampParameters) -> None:
-        """Raise ParameterError when the change to ``parameters`` is not allowed while running."""
+        """Raise ParameterError if the change to ``parameters`` is not allowed while running."""
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         if parameters.lag.type != self.parameters.lag.type:
             remedy = f"is fixed while running: keep {self.parameters.lag.type}"
@@ -313,7 +314,7 @@ class Clamp(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
+            The parameters are wrong or of another structure. Nothing is changed then.
         """
         self.check_retune(parameters.validated())
         self.limits.retune(parameters.limits)

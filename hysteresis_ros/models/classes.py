@@ -20,7 +20,7 @@ from hysteresis_ros.registry import block_class, class_name, samples
 
 
 class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
-    """A hysteresis model from voltage [V] to displacement [m]; base of the classes in ``hr.models``.
+    """A hysteresis model from voltage [V] to displacement [m]; base class of the classes in ``hr.models``.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
         return cls(MODELS[cls.type].example, sample_time=sample_time)
 
     def simulate(self, u: ArrayLike) -> np.ndarray:
-        """Return the displacement for a voltage; the state continues from the previous call.
+        """Return the displacements for voltages; the state continues from the previous call.
 
         Parameters
         ----------

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis compensator: from the commanded displacement to the voltage and the achieved command; and its range."""
+"""Hysteresis compensator: computes voltage and achieved command from the commanded displacement; and its range."""
 
 from __future__ import annotations
 
@@ -56,12 +56,13 @@ BIAS = 1  # decaying voltage that prevents a jump of the output at a retune [V]
 COMMAND = 2  # last command [m]
 
 # Layout of ps.out.
-DECAY = 0  # decay of the bias per sample
+DECAY = 0  # decay factor of the bias per sample
 
-#: A bias below this is set to zero [V].
+#: A bias below this value is set to zero [V].
 NEGLIGIBLE_BIAS = 1e-9
 
-#: Fraction of the voltage range by which the inverse ``general`` searches beyond both ends, to detect saturation.
+#: Fraction of the voltage range by which the search of the inverse ``general`` extends beyond both ends, in order to
+#: detect saturation.
 SEARCH_MARGIN = 0.1
 
 
@@ -84,7 +85,7 @@ class CompensatorParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when the safe voltage is out of range or the inverse does not fit the model."""
+        """Yield a Problem if the safe voltage is out of range, or if the inverse does not fit the model."""
         low, high = self.limits.minimum, self.limits.maximum
         if not low <= self.safe_voltage <= high:
             remedy = f"must lie within limits.minimum … limits.maximum ({low:g} … {high:g} V)"
@@ -122,7 +123,7 @@ def compensator_step(hysteresis, inverse, ps, xs, command):
 
 @nested
 def compensator_resume(hysteresis, inverse, ps, xs, command):
-    """Let the next voltage, for ``command`` [m], start at the present voltage; the difference becomes the bias."""
+    """Let the next voltage, for ``command`` [m], start at the present voltage; the bias contains the difference."""
     out, limited = xs.out, xs.limits
     out[COMMAND] = command
     out[BIAS] = 0.0
@@ -134,24 +135,24 @@ def compensator_resume(hysteresis, inverse, ps, xs, command):
     if (now >= ps.limits[MAXIMUM] and last >= ps.limits[MAXIMUM]) or (
         now <= ps.limits[MINIMUM] and last <= ps.limits[MINIMUM]
     ):
-        return  # at the same end of the range as before
+        return  # both voltages are at the same end of the range
     if abs(last - now) > NEGLIGIBLE_BIAS:
         out[BIAS] = last - now
 
 
 @composite("void", "kernel", "inverse", CompensatorArrays, CompensatorArrays, "array", "array")
 def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
-    """Fill ``voltages[k]`` [V] with :func:`compensator_step` of ``commands[k]`` [m] for all k."""
+    """Set ``voltages[k]`` [V] to :func:`compensator_step` of ``commands[k]`` [m] for every k."""
     for k in range(commands.shape[0]):
         voltages[k] = compensator_step(hysteresis, inverse, ps, xs, commands[k])
 
 
 def inverse_step(inverse):
-    """Return the form of an inverse that Python calls once per sample, with the arguments of every inverse.
+    """Return the form of an inverse that Python calls once per sample; it takes the arguments of every inverse.
 
-    A kernel passed from Python would become part of the type of the called function, which Numba cannot cache: every
-    process would compile the function again. So an inverse that evaluates the kernel gets it as a first-class function,
-    and a closed form gets a number instead.
+    A kernel passed from Python would become part of the type of the called function. Numba cannot cache such a
+    function, so every process would compile it again. Therefore an inverse that evaluates the kernel gets it as a
+    first-class function, and a closed form gets a number in its place.
     """
     if tries_model(inverse):
         return compiled(inverse)
@@ -161,20 +162,20 @@ def inverse_step(inverse):
 class Compensator(Chain):
     """Inverse of a hysteresis model, with the limits of the amplifier.
 
-    Composites use ``ps``, ``xs``, ``hysteresis_kernel`` and ``inverse_kernel`` directly. With inverse ``none`` the
-    model is proportional with the nominal gain of the configured model.
+    Composites use ``ps``, ``xs``, ``hysteresis_kernel`` and ``inverse_kernel`` directly. With the inverse ``none``, the
+    model is proportional, with the nominal gain of the configured model.
 
     Parameters
     ----------
     parameters : CompensatorParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
 
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message names each of them.
+        Parameters are wrong; the message states each of them.
     """
 
     def __init__(self, parameters: CompensatorParameters, sample_time: float):
@@ -243,7 +244,7 @@ class Compensator(Chain):
         return voltages
 
     def hold(self, voltage: float) -> float:
-        """Output a given voltage [V], e.g. the safe voltage, within the limits; the model follows it."""
+        """Output a given voltage [V], such as the safe voltage, within the limits; the model follows this voltage."""
         return interpreted(compensator_hold)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
 
     @property
@@ -273,15 +274,15 @@ class Compensator(Chain):
         self._settle()
 
     def retune(self, parameters: CompensatorParameters) -> None:
-        """Take new parameters of the same structure while running, without a jump in the voltage.
+        """Change to parameters of the same structure while running, without a jump of the voltage.
 
-        The model continues from the present point (``rebase``). The remaining change of the voltage for the last
-        command becomes a bias that decays with ``handover_time``.
+        The model continues from the present point (``rebase``). For the last command, the remaining change of the
+        voltage becomes a bias that decays with ``handover_time``.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
+            The parameters are wrong or of another structure. Nothing is changed then.
         """
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)
@@ -299,7 +300,7 @@ class Compensator(Chain):
     def resume(self, command: float) -> None:
         """Let the next voltage, for ``command`` [m], start at the present voltage.
 
-        The present voltage may be the safe voltage after :meth:`hold`. The difference decays with ``handover_time``.
+        The present voltage may be the safe voltage, after :meth:`hold`. The difference decays with ``handover_time``.
         """
         interpreted(compensator_resume)(self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command))
 
@@ -320,7 +321,7 @@ def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_tim
 
 @lru_cache(maxsize=8)
 def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
-    """Return voltages [V] from zero to one end, to the other end and back; then the same with the ends exchanged."""
+    """Return voltages [V] from zero to one end, to the other end and back; and the same with the ends exchanged."""
     start = min(max(0.0, low), high)
     return tuple(
         np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
@@ -335,11 +336,11 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 
 
 def commandable(compensator: CompensatorParameters, sample_time: float, *amplifiers: LimitsParameters):
-    """Return the smallest and largest useful command [m] of the compensator.
+    """Return the smallest and the largest useful command [m] of the compensator.
 
-    They lie one stroke beyond its range on either side, because fast steps and inverse dynamics briefly need more than
-    the range. Beyond them the voltage no longer changes. ``amplifiers`` are limits to which a user may widen those of
-    the compensator while the axis runs. Units: ``sample_time`` [s].
+    These commands are one stroke beyond either end of the compensator's range, because fast steps and inverse dynamics
+    briefly need more than the range. Beyond them, the voltage no longer changes. ``amplifiers`` contains limits to
+    which a user may widen those of the compensator while the axis runs. Units: ``sample_time`` [s].
     """
     ranges = compensator.limits, *amplifiers
     widest = LimitsParameters(

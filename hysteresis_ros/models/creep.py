@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: slow drift after a step, a sum of first-order operators in series with the hysteresis, and its inverse.
+"""Creep: slow drift after a step, modelled by first-order operators in series with the hysteresis; and its inverse.
 
 ``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets (γ =
-0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric sequence;
-d is chosen so that the response to a unit step is exactly 1 at t_0.
+0.01 … 0.02 per decade, t_0 = 0.1 s) is realised by operators with equal weights and with time constants in a geometric
+sequence; d is chosen so that the response to a unit step is exactly 1 at t_0.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ DECAYS = 2
 OUTPUT = 0
 OPERATOR = 1
 
-#: The operators of the logarithmic law reach this many decades beyond both ends of its time range.
+#: The time constants of the logarithmic law extend this number of decades beyond both ends of its time range.
 MARGIN = 2.0
 
 
@@ -53,7 +53,7 @@ class LogarithmicCreepParameters(Parameters):
     operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
 
     def check(self):
-        """Yield a Problem when the time range is empty."""
+        """Yield a Problem if the time range is empty."""
         if self.longest_time <= self.reference_time:
             remedy = f"must be above reference_time = {self.reference_time:g} s"
             yield Problem("longest_time", self.longest_time, remedy)
@@ -62,7 +62,7 @@ class LogarithmicCreepParameters(Parameters):
         """Return the feedthrough d, the weights a and the time constants τ [s]."""
         per_decade = self.operators_per_decade
         decades = math.log10(self.longest_time / self.reference_time) + 2.0 * MARGIN
-        # rounded, so that the last digit of a logarithm does not change the number of operators
+        # rounded, so that the last digit of a logarithm does not affect the number of operators
         places = [i / per_decade - MARGIN for i in range(math.ceil(round(decades * per_decade, 9)) + 1)]
         time_constants = np.array([self.reference_time * elementary.pow(10.0, place) for place in places])
         weights = np.full(len(places), self.rate / per_decade)
@@ -78,7 +78,7 @@ class CreepOperatorsParameters(Parameters):
     time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
 
     def check(self):
-        """Yield a Problem when weights and time constants differ in number."""
+        """Yield a Problem if weights and time constants differ in number."""
         if len(self.weights) != len(self.time_constants):
             yield Problem(
                 "weights", self.weights, f"must be as many numbers as time_constants ({len(self.time_constants)})"
@@ -111,7 +111,7 @@ class CreepParameters(Parameters):
         return {"creep.type": self.type, "number of creep operators": len(self.resolved()[1])}
 
     def check(self):
-        """Yield a Problem when the immediate part of a step is too small for an inverse."""
+        """Yield a Problem if the immediate part of a step is too small for an inverse."""
         feedthrough, weights, _ = self.resolved()
         if feedthrough <= 0.0:
             remedy = (
@@ -128,7 +128,7 @@ class CreepParameters(Parameters):
 
 @kernel
 def crept(p, x):
-    """Return the sum Σ a z of the operators, the creep in the output at this sample [m]."""
+    """Return Σ a z over the operators, which is the creep in the output at this sample [m]."""
     count = int(p[OPERATORS])
     total = 0.0
     for i in range(count):
@@ -138,9 +138,9 @@ def crept(p, x):
 
 @kernel
 def creep(p, x, u):
-    """Output [m] at this sample for the displacement ``u`` [m], which is held until the next sample.
+    """Return the output [m] at this sample for the displacement ``u`` [m], which is held until the next sample.
 
-    Without operators the output is ``u``, bit for bit.
+    Without operators, the output is ``u``, bit for bit.
     """
     y = p[FEEDTHROUGH] * u + crept(p, x)
     for i in range(int(p[OPERATORS])):
@@ -173,7 +173,7 @@ class Creep(Block):
         return np.zeros(OPERATOR + int(self.p[OPERATORS]))
 
     def settle(self, u: float) -> float:
-        """Set the operators to their steady state at the displacement ``u`` [m] and return the output [m]."""
+        """Set the operators to their steady state for the displacement ``u`` [m], and return the output [m]."""
         self.x[OPERATOR:] = u
         self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + interpreted(crept)(self.p, self.x)
         return float(self.x[OUTPUT])
@@ -184,7 +184,7 @@ class Creep(Block):
         Raises
         ------
         ParameterError
-            The law or the number of operators differs, or the parameters are wrong; nothing is changed then.
+            The law or the number of operators differs, or the parameters are wrong. Nothing is changed then.
         """
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)
@@ -192,9 +192,9 @@ class Creep(Block):
 
 @kernel
 def creep_inverse(p, x, y):
-    """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is not changed.
+    """Return the input [m] with which the creep model gives ``y`` [m] at this sample; its state ``x`` is not changed.
 
-    Exact at the samples. The caller advances the model by the achieved displacement. Without operators the result is
-    ``y``, bit for bit.
+    The result is exact at the samples. The caller advances the model with the achieved displacement. Without operators,
+    the result is ``y``, bit for bit.
     """
     return (y - crept(p, x)) / p[FEEDTHROUGH]

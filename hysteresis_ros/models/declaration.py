@@ -9,9 +9,9 @@
 
 """Declaration of a hysteresis model, and base classes of rate-independent models.
 
-A model is one file, or one folder, in ``models/hysteresis``. It contains the parameters, the law and ``MODEL``, a
-:class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds it. ``docs/extending.md`` shows
-an example.
+A model is one file, or one folder, in ``models/hysteresis``. The file contains the parameters, the law and ``MODEL``, a
+:class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds the model. ``docs/extending.md``
+shows an example.
 
 A rate-independent model depends only on the order of the voltages, not on their speed. Its kernel takes the voltage at
 the end of a monotone step and returns the displacement at that voltage.
@@ -32,30 +32,30 @@ from hysteresis_ros.models.block import Block
 PARTS = ("lag", "delay", "creep", "modes")
 #: Index of the last output in the state of every model with memory.
 DISPLACEMENT_PLACE = 1
-#: Stands for the index of an entry that parameters or state do not have.
+#: Value in place of an index, for an entry that the parameters or the state do not have.
 NOWHERE = -1
-#: Default identification: fits the parameters that a model declares as ``free``, starting at its ``guess``.
+#: Default identification: fits the parameters that a model declares in ``free``, starting at the model's ``guess``.
 PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Indices for a model that is linear in its weights; the sum Σ p[weight] x[signal] passes through dead zones.
+    """Indices for a model that is linear in its weights: the sum Σ p[weight] x[signal] passes through dead zones.
 
     Parameters
     ----------
     weights : tuple of int
         Indices of the weights in p.
     signals : tuple of int
-        Index in x of the signal that each weight multiplies [V]; ``NOWHERE``: the output voltage.
+        Index in x of the signal that each weight multiplies [V]; ``NOWHERE``: the weight multiplies the output voltage.
     opening : tuple of bool
         Whether each weight widens the loops, because its signal lags behind the voltage.
     zones : tuple of (int, int)
-        Indices in p of threshold [m] and slope of each dead zone after the sum; a gain multiplies the thresholds.
+        Indices in p of threshold [m] and slope of each dead zone after the sum; a gain also multiplies the thresholds.
     output : int
-        Index in x of the last output [m]; ``NOWHERE``: it is not stored.
+        Index in x of the last output [m]; ``NOWHERE``: the output is not stored.
     offset : int
-        Index in p of the constant part of the output [m]; ``NOWHERE``: none.
+        Index in p of the constant part of the output [m]; ``NOWHERE``: there is none.
     """
 
     weights: tuple[int, ...]
@@ -67,7 +67,7 @@ class LinearTerms:
 
 
 class HysteresisBlock(Block):
-    """Base of the blocks of all hysteresis models, voltage [V] to displacement [m].
+    """Base class of the blocks of all hysteresis models, from voltage [V] to displacement [m].
 
     Subclasses set ``kernel`` and, for a closed form, ``inverse``; they implement ``pack``, ``initial_state``, ``gain``
     and, with memory, ``rebase``.
@@ -80,17 +80,17 @@ class HysteresisBlock(Block):
         Sample time [s].
     """
 
-    #: Closed-form inverse, a kernel with the arguments of every inverse; None: none exists.
+    #: Closed-form inverse: a kernel with the arguments of every inverse; None if there is no such inverse.
     inverse = None  # type: Any
-    #: Whether the output depends on the order of the voltages only, not on their speed.
+    #: Whether the output depends only on the order of the voltages, not on their speed.
     rate_independent = False
-    #: Whether, for any history, the output at the end of a step rises with the voltage at the end. Then the model has
-    #: an inverse, and its linear dynamics follow the hysteresis instead of being inside.
+    #: Whether, for any history, the output at the end of a step increases with the voltage at the end. Then the model
+    #: has an inverse, and linear dynamics follow the hysteresis and are not inside it.
     invertible = False
 
     @property
     def terms(self) -> LinearTerms | None:
-        """Indices of the weights in which the output is linear; None if the output is not linear in weights."""
+        """Indices of the weights in which the output is linear; None if there are no such weights."""
         return None
 
     @property
@@ -99,7 +99,7 @@ class HysteresisBlock(Block):
         raise TypeError(f"{type(self).__name__} does not define gain, its nominal gain")
 
     def rebase(self) -> None:
-        """Continue from the present point with changed parameters; by default nothing changes."""
+        """Continue from the present point after a change of parameters; by default nothing is done."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Option:
         Raises
         ------
         IdentificationError
-            The text is not an allowed value; the message states the allowed ones.
+            The text is not an allowed value; the message states the allowed values.
         """
         try:
             value = self.kind(text)
@@ -149,7 +149,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of a plant from its model: factors near 1.
+    """Deviation of a plant from its model, by factors near 1.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class Deviation:
     opening : float
         Factor on the loop width.
     factor : callable
-        ``factor()`` draws one more factor, ``factor(n)`` an array of n.
+        ``factor()`` returns one more random factor, ``factor(n)`` an array of n random factors.
     """
 
     gain: float
@@ -168,21 +168,21 @@ class Deviation:
 
 @dataclass(frozen=True)
 class OwnInverse:
-    """An inverse that a model declares in addition to the closed form of its block; a choice of ``inverse.type``.
+    """An inverse that a model declares in addition to the closed form of its block; selected by ``inverse.type``.
 
     Parameters
     ----------
     kernel : kernel
-        ``inverse(hysteresis, p_i, x_i, p_h, x_h, displacement)``; it does not use ``hysteresis``.
+        ``inverse(hysteresis, p_i, x_i, p_h, x_h, displacement)``; the kernel does not use ``hysteresis``.
     description : str
         Short description for the table of parameters.
     follows_model : bool
-        True: it uses the state of this model and works with no other one. False: it has its own equation, given by
-        ``parameters`` and ``block``, and works with any model.
+        True: the inverse uses the state of this model and works with no other model. False: it has an equation of its
+        own, given by ``parameters`` and ``block``, and works with any model.
     parameters : type, optional
-        Dataclass of its parameters, ``inverse.<name>.*``.
+        Dataclass of the parameters of the inverse, ``inverse.<name>.*``.
     block : type, optional
-        Block of those parameters; its ``p`` and ``x`` are the kernel's arguments ``p_i`` and ``x_i``.
+        Block for these parameters; its ``p`` and ``x`` are the kernel's arguments ``p_i`` and ``x_i``.
     """
 
     kernel: Callable
@@ -199,49 +199,49 @@ class HysteresisModel:
     Parameters
     ----------
     name : str
-        ``hysteresis.type`` in the parameter files, and the prefix of its parameters there.
+        ``hysteresis.type`` in the parameter files, and prefix of the model's parameters there.
     title : str
         Description in one line.
     data : str
-        Data that an identification needs.
+        Data that an identification of the model needs.
     parameters : type
-        Dataclass of its parameters. With arrays of any length it has a property ``structure``: a dict of name to size,
-        which is fixed while running.
+        Dataclass of the model's parameters. If it has arrays of any length, it has a property ``structure``: a dict of
+        name to size, which is fixed while running.
     block : type
-        Block with its law and its closed-form inverse, if any; it states whether the model is rate independent and
-        invertible.
+        Block with the law of the model and its closed-form inverse, if any. The block states whether the model is rate
+        independent and invertible.
     example : Parameters
-        A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` makes an axis.
+        A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` writes an axis.
     scaled : callable
-        ``scaled(parameters, factor)`` returns parameters whose displacement is ``factor`` > 0 times as large.
+        ``scaled(parameters, factor)`` returns parameters with which the displacement is multiplied by ``factor`` > 0.
     shifted : callable, optional
-        ``shifted(parameters, offset)`` returns parameters whose displacement is larger by ``offset`` [m]. None: the
-        model has no constant term.
+        ``shifted(parameters, offset)`` returns parameters with which the displacement is larger by ``offset`` [m].
+        None: the model has no constant term.
     deviated : callable
         ``deviated(parameters, deviation)`` returns the parameters of a plant that deviates by a :class:`Deviation`.
     weighted : callable, optional
-        ``weighted(parameters, factors)`` returns parameters whose weights, in the order of the block's ``terms``, are
-        multiplied by the factors. None: the output is not linear in weights, and they are not adapted online.
+        ``weighted(parameters, factors)`` returns parameters with the weights multiplied by the factors, in the order of
+        the block's ``terms``. None: the output is not linear in weights, so they cannot be adapted online.
     inverses : tuple of str
-        Names of the inverses that work with the model, the default first.
+        Names of the inverses that work with the model; the first one is the default.
     own_inverses : dict of str to OwnInverse
         Inverses that the model declares itself.
     identify : str
         Dotted path ``package.module:function`` of ``identify(data, request)``, see
-        :mod:`hysteresis_ros.identification.procedures`. By default least squares fit the parameters in ``free``.
+        :mod:`hysteresis_ros.identification.procedures`. By default, least squares fit the parameters in ``free``.
     guess : callable, optional
-        ``guess(voltage, displacement)`` returns the initial parameters of the default fit.
+        ``guess(voltage, displacement)`` returns the initial parameters for the default fit.
     free : tuple of str
         Names of the scalar parameters that the default fit changes.
     options : dict of str to Option
-        Options of the identification. The default fit has the initial values of its free parameters as options.
+        Options of the identification. For the default fit, these are the initial values of its free parameters.
     parts : tuple of str
         Entries of :data:`PARTS` that can be identified together with the model.
     stages : bool
         Whether linear dynamics of higher order can be identified after the hysteresis.
     response : str
-        For models with internal dynamics, which are not invertible: dotted path of ``response(parameters, voltage,
-        sample_time, intersample, initial)``, which returns the displacement [m] at the samples.
+        For models with internal dynamics, which are not invertible: dotted path of the function ``response(parameters,
+        voltage, sample_time, intersample, initial)`` that returns the displacement [m] at the samples.
     """
 
     name: str
@@ -289,7 +289,7 @@ def _unit(row: ParameterRow) -> str:
 
 
 def times(parameters, factor: float, *names: str):
-    """Return parameters in which those named in ``names``, numbers or tuples of numbers, are multiplied by a factor."""
+    """Return parameters in which those named in ``names`` (numbers or tuples of numbers) are multiplied by a factor."""
     changed: dict[str, Any] = {}
     for name in names:
         value = getattr(parameters, name)
@@ -308,9 +308,9 @@ DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
 
 
 def require_structure(present, wanted) -> None:
-    """Raise ParameterError when the structure of parameters (sizes of arrays) differs from the present one.
+    """Raise ParameterError if the structure of parameters (sizes of arrays) differs from the present one.
 
-    Both are of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
+    Both must be of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
     """
     before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
     problems = [
@@ -323,9 +323,9 @@ def require_structure(present, wanted) -> None:
 
 
 class InvertibleBlock(HysteresisBlock):
-    """Base of the models with memory whose output at the end of a step rises with the voltage at the end.
+    """Base class of the models with memory whose output at the end of a step increases with the voltage at the end.
 
-    Their parameters can change while running without a jump, and they have inverses.
+    Their parameters can change while running without a jump of the output, and they have inverses.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ class InvertibleBlock(HysteresisBlock):
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure; the block is unchanged then.
+            The parameters are wrong or of another structure; the block stays unchanged then.
         """
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)
@@ -351,7 +351,7 @@ class InvertibleBlock(HysteresisBlock):
 
 
 class RateIndependentBlock(InvertibleBlock):
-    """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
+    """Base class of the rate-independent hysteresis models, from voltage [V] to displacement [m].
 
     Parameters
     ----------

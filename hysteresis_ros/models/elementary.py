@@ -9,13 +9,14 @@
 
 """Elementary functions whose results are identical on every processor and C library, compiled or not.
 
-The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and its versions round
-differently: about one value in a thousand differs in its last digit. Values that a running axis uses, in a kernel or
-for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone, in a fixed
-order, as Java's ``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``,
-``floor``, ``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
+The C library has different versions of ``sin``, ``exp``, … for different processors (with or without fused
+multiply-add), which round differently: about one value in a thousand differs in its last digit. Therefore values that a
+running axis uses, in a kernel or for its parameters, are computed here only by additions, multiplications and divisions
+of float64 in a fixed order, as in Java's ``StrictMath`` [1]_. Errors are below 1.5 units in the last place, unless
+stated otherwise; ``math.sqrt``, ``floor``, ``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
 
-An argument that is not finite or is outside the domain gives NaN or the infinite limit, never an exception.
+For an argument that is not finite or is outside the domain, the result is NaN or the infinite limit, never an
+exception.
 
 References
 ----------
@@ -33,13 +34,13 @@ import numpy as np
 
 from hysteresis_ros.models.block import called
 
-# π/2 in two parts; the first has 33 bits, so that its multiples by k < 2²⁰ are exact.
+# π/2 in two parts; the first part has 33 bits, so that its multiples by k < 2²⁰ are exact.
 _QUARTER_HIGH, _QUARTER_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
 _QUARTERS = 2.0 / math.pi  # quarter turns per radian
 #: Largest angle [rad] with a sine and a cosine.
 LARGEST_ANGLE = 1e6
 
-# ln 2 and ln 2/32 in two parts each, the first short enough for exact multiples.
+# ln 2 and ln 2/32 in two parts each; the first part is short enough for exact multiples.
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _STEP_HIGH, _STEP_LOW = 0.021660849392446835, 5.145609244655338e-14
 _STEPS = 46.16624130844683  # 32/ln 2
@@ -47,7 +48,7 @@ _HALF_ROOT = math.sqrt(0.5)
 
 
 def _powers_of_two() -> tuple[np.ndarray, np.ndarray]:
-    """Return 2^(j/32), j = 0 … 31, rounded, and the rounding errors, computed with 50 decimal digits [2]_."""
+    """Return 2^(j/32), j = 0 … 31, rounded, and the errors of the rounding, computed with 50 decimal digits [2]_."""
     with localcontext() as context:
         context.prec = 50
         exact = [Decimal(2) ** (Decimal(j) / 32) for j in range(32)]
@@ -59,7 +60,7 @@ _POWERS, _POWERS_REST = _powers_of_two()
 
 @called
 def _sine(r, rest):
-    """Sine of r + rest for |r| ≤ π/4."""
+    """Return the sine of r + rest for |r| ≤ π/4."""
     z = r * r
     zz = z * z
     high = (-1.0 / 39916800.0 + z * (1.0 / 6227020800.0)) + zz * (
@@ -71,7 +72,7 @@ def _sine(r, rest):
 
 @called
 def _cosine(r, rest):
-    """Cosine of r + rest for |r| ≤ π/4."""
+    """Return the cosine of r + rest for |r| ≤ π/4."""
     z = r * r
     zz = z * z
     high = (-1.0 / 3628800.0 + z * (1.0 / 479001600.0)) + zz * (-1.0 / 87178291200.0 + z * (1.0 / 20922789888000.0))
@@ -83,7 +84,7 @@ def _cosine(r, rest):
 
 @called
 def _turned(x, quarters):
-    """Sine of x plus ``quarters`` quarter turns."""
+    """Return the sine of x plus ``quarters`` quarter turns."""
     if not abs(x) <= LARGEST_ANGLE:
         return math.nan
     count = math.floor(x * _QUARTERS + 0.5)
@@ -130,7 +131,7 @@ def exp(x):
 
 @called
 def expm1(x):
-    """Return e to the power ``x``, minus 1; accurate near zero too; errors below 3 units in the last place."""
+    """Return e to the power ``x``, minus 1; accurate also near zero; errors below 3 units in the last place."""
     if not abs(x) < 0.35:
         return exp(x) - 1.0
     xx = x * x
@@ -166,7 +167,7 @@ def log(x):
 
 @called
 def log1p(x):
-    """Return the natural logarithm of 1 + ``x``; accurate near zero too; errors below 3 units in the last place."""
+    """Return the natural logarithm of 1 + ``x``; accurate also near zero; errors below 3 units in the last place."""
     whole = 1.0 + x
     if whole == 1.0 or not 0.0 < whole < math.inf:
         return x if whole == 1.0 else log(whole)
@@ -175,7 +176,7 @@ def log1p(x):
 
 @called
 def pow(x, exponent):
-    """Return ``x`` ≥ 0 to the power ``exponent``, to 2e-16 (1 + |exponent log x|) relative."""
+    """Return ``x`` ≥ 0 to the power ``exponent``, with a relative error of 2e-16 (1 + |exponent log x|)."""
     if exponent == 0.0:
         return 1.0
     if exponent == 1.0:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A slider held and carried by friction: set-valued Coulomb friction, Moreau's time stepping, solved exactly.
+"""A slider that friction holds and carries: set-valued Coulomb friction, Moreau's time stepping, solved exactly.
 
 The slider has two contacts: one fixed to the body (rear), one on the tip of an elastic extender (front). Over a step of
 length h from k to k+1, with the extender's free displacement u at k+1 and its stiffness k_e,
@@ -17,25 +17,26 @@ length h from k to k+1, with the extender's free displacement u at k+1 and its s
 * front: λ_f ∈ -R_f Sign(h v⁺ - (t⁺ - t)), t⁺ = u - λ_f/k_e (the reaction of *this* step shortens the extender)
 
 where R is the friction limit μ N at k+1. The inclusion of the front contact has the solution λ_f = clip(k_e (u - t - h
-v⁺), ±R_f), a decreasing function of v⁺. So v⁺ is the only zero of a strictly monotone function with two kinks and one
-jump. This zero has a closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and
-dry friction in finite freedom dynamics", 1988). A contact that stuck in the previous step has the static limit μ_s N, a
-sliding one the kinetic limit μ_k N. A contact that begins to slide gets the kinetic limit within the same step. A
-sticking contact does not move at all: its grip is stored as a distance, not summed up from steps, so it does not drift.
-End stops are rigid and stop the slider.
+v⁺), ±R_f), a decreasing function of v⁺. Therefore v⁺ is the only zero of a strictly monotone function with two kinks
+and one jump. This zero has a closed form without iteration for any step, mass and stiffness (Moreau, "Unilateral
+contact and dry friction in finite freedom dynamics", 1988). A contact that stuck in the previous step has the static
+limit μ_s N; a contact that slid has the kinetic limit μ_k N. A contact that begins to slide gets the kinetic limit
+within the same step. A sticking contact does not move at all: its grip is stored as a distance and not summed from
+steps, so it does not drift. End stops are rigid and stop the slider.
 
-Real contacts deform before they slide, and move the slider as they close. Each contact has a compliance c. The rear
-contact is a spring k_r = 1/c_r to an anchor a; the front contact is in series with the extender, k_f = 1/(1/k_e + c_f):
+Real contacts deform before they slide, and they move the slider while they close. Each contact has a compliance c. The
+rear contact is a spring k_r = 1/c_r to an anchor a; the front contact is in series with the extender, k_f = 1/(1/k_e +
+c_f):
 
 * λ_r = clip(k_r (a - q⁺) - d_r v⁺, ±R_r),  λ_f = clip(k_f (u + g - q⁺) + d_f (u̇ - v⁺), ±R_f)
 
-with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a or g). A normal force that grows by ΔN moves the
-anchor by κ ΔN: the kick of a clamp. The sum of the forces again decreases with v⁺, with four kinks.
+with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a or g). An increase ΔN of the normal force moves the
+anchor by κ ΔN, which is the kick of a clamp. The sum of the forces again decreases with v⁺, and has four kinks.
 
 The scheme is unconditionally stable. Like every implicit Euler step it adds damping: while the front clamp sticks,
-slider and extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2, in place of the damping of the real joint.
-With compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2
-small compared with ζ.
+slider and extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2 instead of that of the real joint. With
+compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2 small
+compared with ζ.
 """
 
 from __future__ import annotations
@@ -54,24 +55,24 @@ from hysteresis_ros.models.sensor import SensorParameters
 # Layout of p.
 STEP = 0  # sample time [s]
 MASS = 1  # [kg]
-FORCE = 2  # external force and gravity [N], positive: toward larger displacement
+FORCE = 2  # external force and gravity [N]; positive: towards larger displacement
 STIFFNESS = 3  # stiffness of the extender [N/m]
 MINIMUM = 4  # end stops [m]
 MAXIMUM = 5
 SUBSTEPS = 6  # number of steps within a sample; 0: rigid contacts with one step
-FRONT_STIFFNESS = 7  # stiffness of compliant contacts, the front one in series with the extender [N/m]
+FRONT_STIFFNESS = 7  # stiffness of compliant contacts, that of the front contact in series with the extender [N/m]
 REAR_STIFFNESS = 8
 FRONT_DAMPING = 9  # [N s/m]
 REAR_DAMPING = 10
-FRONT_KICK = 11  # motion of the contact [m] per newton of the static limit
+FRONT_KICK = 11  # motion of the contact divided by the change of its static limit [m/N]
 REAR_KICK = 12
 
 # Layout of x.
 POSITION = 0  # position of the slider [m]
 VELOCITY = 1  # [m/s]
 TIP = 2  # displacement of the extender under its load [m]
-GRIP = 3  # slider - tip [m] while the front contact sticks; with compliant contacts: the front anchor
-FRONT_STUCK = 4  # 1 when the contact stuck in the last step
+GRIP = 3  # slider - tip [m] while the front contact sticks; with compliant contacts, the front anchor
+FRONT_STUCK = 4  # 1 if the contact stuck in the last step
 REAR_STUCK = 5
 FRONT_FORCE = 6  # friction on the slider in the last step [N]; the extender carries -FRONT_FORCE
 REAR_FORCE = 7
@@ -79,7 +80,7 @@ STOP_FORCE = 8  # force of the end stops [N]
 FRONT_SLIP = 9  # sliding distance in the contact in the last step [m]
 REAR_SLIP = 10
 DISSIPATED = 11  # energy dissipated by friction so far [J]
-FRONT_STATIC = 12  # friction limits [N] of this step; the caller writes them
+FRONT_STATIC = 12  # friction limits [N] for this step; the caller writes them
 FRONT_KINETIC = 13
 REAR_STATIC = 14
 REAR_KINETIC = 15
@@ -88,9 +89,9 @@ ANCHOR = 17  # anchor of the rear contact [m]
 BEFORE = 18  # the four friction limits of the last sample [N]
 STATES = 22
 
-#: Each of two contacts can change once from static to kinetic friction within a step.
+#: Each of the two contacts can change from static to kinetic friction once within a step.
 PASSES = 3
-#: Numerical damping of the steps within a sample, as a fraction of the damping of the joint.
+#: Allowed numerical damping of the steps within a sample, as a fraction of the damping of the joint.
 CONVERGED = 0.1
 MOST_SUBSTEPS = 1000
 
@@ -103,7 +104,7 @@ def clip(value, bound):
 
 @kernel
 def slider_velocity(p, velocity, lead, front, rear):
-    """Velocity [m/s] at the end of a step, without end stops.
+    """Return the velocity [m/s] at the end of a step, without end stops.
 
     ``velocity`` [m/s] is the velocity before the step; ``lead`` [m] is the extender's free displacement minus the tip;
     ``front`` and ``rear`` [N] are the friction limits.
@@ -121,7 +122,7 @@ def slider_velocity(p, velocity, lead, front, rear):
         v = step * (drive + front) / mass
     elif carried < -front:
         v = step * (drive - front) / mass
-    # the sign is known, but rounding could move a creeping slider against its force
+    # the sign is known, but rounding could move a creeping slider against the force on it
     return v if v * direction > 0.0 else 0.0
 
 
@@ -188,15 +189,15 @@ def slide(p, x, u):
 
 @kernel
 def elastic_velocity(p, step, velocity, front, rear):
-    """Velocity [m/s] at the end of a step between compliant contacts, without end stops.
+    """Return the velocity [m/s] at the end of a step between compliant contacts, without end stops.
 
-    ``velocity`` [m/s] is the velocity before the step. ``front`` and ``rear`` contain a [N], b [N s/m] and a bound [N]:
-    the contact carries the force a − b v, limited to ± the bound.
+    ``velocity`` [m/s] is the velocity before the step. ``front`` and ``rear`` each contain a [N], b [N s/m] and a bound
+    [N]: the contact transmits the force a − b v, limited to ± the bound.
     """
     (a_f, b_f, most_f), (a_r, b_r, most_r) = front, rear
     inertia = p[MASS] / step
     drive = inertia * velocity + p[FORCE]
-    # the imbalance rises with v; between two kinks it is linear
+    # the imbalance of the forces increases with v; between two kinks it is linear
     low, high = -math.inf, math.inf
     for kink in ((a_f - most_f) / b_f, (a_f + most_f) / b_f, (a_r - most_r) / b_r, (a_r + most_r) / b_r):
         if inertia * kink - drive - clip(a_f - b_f * kink, most_f) - clip(a_r - b_r * kink, most_r) <= 0.0:
@@ -223,7 +224,7 @@ def elastic_velocity(p, step, velocity, front, rear):
 
 @kernel
 def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
-    """Compute a step with compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s].
+    """Compute a step with compliant contacts, in which the free displacement goes to ``u`` [m] at ``rate`` [m/s].
 
     ``front_bounds`` and ``rear_bounds`` are the friction limits [N], static and kinetic.
     """
@@ -251,7 +252,7 @@ def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
     front_force, rear_force = clip(a_f - b_f * v, front), clip(a_r - b_r * v, rear)
     x[FRONT_STUCK] = 1.0 if front > 0.0 and math.fabs(a_f - b_f * v) <= front else 0.0
     x[REAR_STUCK] = 1.0 if rear > 0.0 and math.fabs(a_r - b_r * v) <= rear else 0.0
-    # a sliding contact moves its anchor; an open contact has neither spring nor damper
+    # a sliding contact moves its anchor; an open contact has no spring and no damper
     if x[FRONT_STUCK] == 0.0:
         spring = front_force - d_f * (rate - v) if front > 0.0 else 0.0
         slid = spring / k_f - u + following - x[GRIP]
@@ -273,9 +274,9 @@ def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
 
 @kernel
 def slide_elastically(p, x, u):
-    """Return the slider's position [m] one sample later, with compliant contacts; otherwise like :func:`slide`.
+    """Return the slider's position [m] one sample later, with compliant contacts; otherwise the same as :func:`slide`.
 
-    Within the sample the free displacement and the friction limits change linearly from the last values.
+    Within the sample, free displacement and friction limits change linearly from their previous values.
     """
     steps = int(p[SUBSTEPS])
     step = p[STEP] / steps
@@ -346,11 +347,11 @@ class SliderParameters(Parameters):
 
     @property
     def force(self) -> float:
-        """External force plus the component of the weight along the travel [N]."""
+        """External force plus the component of the weight in the direction of travel [N]."""
         return self.external_force - self.mass * self.gravity * elementary.sin(self.inclination)
 
     def check(self):
-        """Yield a Problem when the travel is empty or does not contain the start."""
+        """Yield a Problem if the travel is empty or does not contain the start."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} m)")
         elif not self.minimum <= self.start <= self.maximum:
@@ -363,14 +364,14 @@ class SliderParameters(Parameters):
 
 @dataclass(frozen=True)
 class Contacts:
-    """Compliance and kick of the contacts; all 0: rigid.
+    """Compliance and kick of the contacts; if all are 0, the contacts are rigid.
 
     Parameters
     ----------
     front_compliance, rear_compliance : float
         [m/N]
     front_kick, rear_kick : float
-        Motion of the contact per newton of its static friction limit [m/N].
+        Motion of the contact divided by the change of its static friction limit [m/N].
     """
 
     front_compliance: float = 0.0
@@ -385,7 +386,7 @@ class Contacts:
 
 
 class Slider(Block):
-    """Slider between two friction contacts; write their limits [N] to ``x[12:16]`` before each step.
+    """Slider between two friction contacts; write the friction limits [N] to ``x[12:16]`` before each step.
 
     Parameters
     ----------
@@ -429,7 +430,7 @@ class Slider(Block):
         return x
 
     def settle(self, free: float) -> None:
-        """Set the slider to rest under its load; the rear contact carries the load up to its limit in ``x``.
+        """Set the slider to rest under its load; the rear contact carries the load, up to its limit in ``x``.
 
         Parameters
         ----------
@@ -449,7 +450,7 @@ class Slider(Block):
             x[BEFORE : BEFORE + 4] = x[FRONT_STATIC : FRONT_STATIC + 4]
 
     def check_travel(self, parameters: SliderParameters) -> None:
-        """Raise ParameterError when the slider is outside the new travel."""
+        """Raise ParameterError if the slider is outside the new travel."""
         position = float(self.x[POSITION])
         for name, inside in (
             ("minimum", parameters.minimum <= position),

@@ -10,8 +10,8 @@
 """Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider, moved by friction (K10).
 
 The extender is the actuator of :mod:`hysteresis_ros.models.actuator`. The position of the front clamp is the extender's
-free displacement minus F/k, with the force F on its tip and its stiffness k. The clamps are those of
-:mod:`hysteresis_ros.models.clamp`, slider and friction those of :mod:`hysteresis_ros.models.friction`.
+free displacement minus F/k, where F is the force on the extender's tip and k the extender's stiffness. The clamps are
+those of :mod:`hysteresis_ros.models.clamp`, slider and friction are those of :mod:`hysteresis_ros.models.friction`.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from hysteresis_ros.models.sensor import Sensor, sensor
 #: Names of the joints, in the order of ``xs.joints``.
 JOINT_NAMES = ("slider", "extender", "front_clamp", "rear_clamp")
 
-# Layout of xs.joints: four numbers each, in the order of JOINT_NAMES.
+# Layout of xs.joints: groups of four numbers, each in the order of JOINT_NAMES.
 POSITION = 0  # measured position [m]
-VELOCITY = 4  # difference of the last two measured positions [m/s]; 0 at the first measurement
+VELOCITY = 4  # difference quotient of the last two measured positions [m/s]; 0 at the first measurement
 EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; normal forces of the clamps
 TRUE_POSITION = 12  # [m]
 STARTED = 16  # 1 after the first measurement
@@ -53,7 +53,7 @@ SAMPLE_RATE = 0  # ps.joints[SAMPLE_RATE] [Hz]
 
 
 class InchwormArrays(NamedTuple):
-    """Parameter arrays, or state arrays, of an inchworm motor; the first five are the extender's."""
+    """Parameter arrays, or state arrays, of an inchworm motor; the first five belong to the extender."""
 
     limits: np.ndarray
     hysteresis: np.ndarray
@@ -84,7 +84,7 @@ class InchwormLaws(NamedTuple):
 
 @dataclass(frozen=True)
 class InchwormParameters(Parameters):
-    """The parts of an inchworm motor other than the actuator: clamps, slider and the extender's stiffness."""
+    """The parts of an inchworm motor in addition to the actuator: clamps, slider, and stiffness of the extender."""
 
     extender_stiffness: float = parameter(
         0.41e6, description="stiffness of the extender: force per shortening", unit="N/m", low=1.0, high=1e12
@@ -94,7 +94,7 @@ class InchwormParameters(Parameters):
     slider: SliderParameters = group(SliderParameters)
 
     def check(self):
-        """Yield a Problem if only one contact is compliant, or a rigid contact has a compliant contact's parameters."""
+        """Yield a Problem if only one contact is compliant, or if a rigid contact has parameters of a compliant one."""
         compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
         if compliant[0] != compliant[1]:
             name = "rear_clamp" if compliant[0] else "front_clamp"
@@ -130,8 +130,8 @@ class InchwormParameters(Parameters):
         front_voltage, rear_voltage : float
             Grip voltages of the gait [V].
         margin : float
-            Required holding force, as a multiple of the load. The extender is a spring: a load applied suddenly
-            oscillates, and its force reaches twice the load. 2 is safe for any gait, 1 is the limit at rest.
+            Required holding force, as a multiple of the load. Because the extender is a spring, a load that is applied
+            suddenly oscillates, and its force reaches twice the load. 2 is safe for any gait, 1 is the limit at rest.
         prefix : str
             Prefix of the names of the parameters.
         """
@@ -154,13 +154,13 @@ class InchwormPlantParameters(ActuatorParameters):
     inchworm: InchwormParameters = group(InchwormParameters)
 
     def check(self):
-        """Yield a Problem for each noisy sensor that has the same noise sequence as another sensor."""
+        """Yield a Problem for each noisy sensor whose noise sequence is that of another sensor."""
         yield from super().check()
         yield from seed_problems(self)
 
 
 def seed_problems(parameters):
-    """Yield a Problem for each noisy sensor with the seed of another one, because their noise would be equal."""
+    """Yield a Problem for each noisy sensor with the seed of another sensor, because their noises would be equal."""
     motor = parameters.inchworm
     sensors = {
         "sensor": parameters.sensor,
@@ -179,7 +179,7 @@ def seed_problems(parameters):
 
 @kernel
 def inchworm_measure(ps, xs):
-    """Reading [m] of the slider's sensor at the present sample; ``xs.joints`` is filled for all joints.
+    """Return the reading [m] of the slider's sensor at the present sample; fill ``xs.joints`` for all joints.
 
     ``ps`` and ``xs`` are :class:`InchwormArrays`.
     """
@@ -209,10 +209,10 @@ def inchworm_measure(ps, xs):
 
 @nested
 def inchworm_advance(laws, ps, xs, voltage, front_voltage, rear_voltage):
-    """Hold three voltages [V] until the next sample; return the output of the extender's amplifier [V].
+    """Hold three voltages [V] until the next sample; return the output voltage of the extender's amplifier [V].
 
-    ``laws`` contains the kernels of :class:`InchwormLaws`. ``xs.front_limits`` and ``xs.rear_limits`` contain the
-    outputs of the clamps' amplifiers.
+    ``laws`` contains the kernels of :class:`InchwormLaws`. The outputs of the clamps' amplifiers are in
+    ``xs.front_limits`` and ``xs.rear_limits``.
     """
     applied = limits(ps.limits, xs.limits, voltage)
     wanted = creep(ps.creep, xs.creep, laws.hysteresis(ps.hysteresis, xs.hysteresis, applied))
@@ -256,7 +256,7 @@ class Inchworm(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message names each of them.
+        Parameters are wrong; the message states each of them.
     """
 
     def __init__(self, parameters: InchwormPlantParameters, sample_time: float):
@@ -280,7 +280,7 @@ class Inchworm(Chain):
         self._settle()
 
     def _settle(self) -> None:
-        """Set the slider to rest at its initial position, held by the clamps in their present state."""
+        """Set the slider to rest at its initial position; the clamps hold it in their present state."""
         x = self.slider.x
         for clamp, static, kinetic in (
             (self.front_clamp, friction.FRONT_STATIC, friction.FRONT_KINETIC),
@@ -293,7 +293,7 @@ class Inchworm(Chain):
     def measure(self) -> np.ndarray:
         """Return the measured positions [m] of the joints in the order of JOINT_NAMES, shape (4,).
 
-        Call it once per sample: it draws the noise. ``joints`` contains velocities and efforts.
+        Call it once per sample, because each call generates noise. ``joints`` contains velocities and efforts.
         """
         interpreted(inchworm_measure)(self.ps, self.xs)
         return self.joints[POSITION : POSITION + 4].copy()
@@ -305,7 +305,7 @@ class Inchworm(Chain):
 
     @property
     def joints(self) -> np.ndarray:
-        """Array ``xs.joints``, shape (17,): positions, velocities, efforts and true positions at the measurement."""
+        """Array ``xs.joints``, shape (17,): positions, velocities, efforts, true positions at the last measurement."""
         return self.xs.joints
 
     @property
@@ -324,20 +324,20 @@ class Inchworm(Chain):
         return any(part.limits.saturated for part in (self.extender, self.front_clamp, self.rear_clamp))
 
     def reset(self) -> None:
-        """Return to rest at the start, with the hysteresis in its initial state and the noise restarted."""
+        """Return to rest at the start; the hysteresis is in its initial state, and the noise starts again."""
         for block in (self.extender, self.front_clamp, self.rear_clamp, self.slider, self.slider_sensor):
             block.reset()
         self.joints[:] = 0.0
         self._settle()
 
     def retune(self, parameters: InchwormPlantParameters) -> None:
-        """Change parameters of the same structure while running; all states continue.
+        """Change the parameters to others of the same structure while running; all states continue.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong, change the structure, or set a travel that does not contain the slider;
-            then nothing changes.
+            The parameters are wrong, change the structure, or set a travel that does not contain the slider. Nothing is
+            changed then.
         """
         motor = parameters.validated().inchworm
         for name in ("front_clamp", "rear_clamp"):
@@ -357,5 +357,5 @@ class Inchworm(Chain):
 
 
 def _extender(parameters: InchwormPlantParameters) -> ActuatorParameters:
-    """Return the extender's own parameters."""
+    """Return those parameters that belong to the extender itself."""
     return ActuatorParameters(**{item.name: getattr(parameters, item.name) for item in fields(ActuatorParameters)})

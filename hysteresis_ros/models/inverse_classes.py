@@ -33,12 +33,12 @@ from hysteresis_ros.registry import (
     signature_of,
 )
 
-#: Names of classes whose generated names would be invalid or unclear.
+#: Names of classes for which the generated name would be invalid or unclear.
 CLASS_NAMES = {"none": "Gain"}
 
 
 class Inverse(Compensator):  # numpydoc ignore=PR02
-    """A hysteresis compensator from the commanded displacement [m] to the voltage [V]; base of ``hr.inverses``.
+    """A hysteresis compensator from commanded displacement [m] to voltage [V]; base class in ``hr.inverses``.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def hysteresis_of(model: Any) -> HysteresisParameters:
     Parameters
     ----------
     model : HysteresisBlock or HysteresisParameters
-        A model such as ``hr.models.BoucWen(…)``, or the type and the parameters of one.
+        A model such as ``hr.models.BoucWen(…)``, or the type and the parameters of a model.
 
     Returns
     -------
@@ -148,7 +148,7 @@ KeywordError
 
 
 def _concerns(name: str, model: str) -> bool:
-    """Return whether a dotted name belongs to the chosen model, not to another one."""
+    """Return whether a dotted name belongs to the chosen model and not to another one."""
     parts = name.split(".")
     return len(parts) < 3 or parts[1] == model
 
@@ -158,7 +158,7 @@ CLASSES: dict[str, type[Inverse]] = {CLASS_NAMES.get(kind, class_name(kind)): _m
 
 
 def __getattr__(name: str) -> type[Inverse]:
-    """Return the compensator with an inverse."""
+    """Return the compensator class for an inverse, by its name."""
     return find(CLASSES, name, "hysteresis_ros.inverses")
 
 

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses by name: an exact one by root search, an approximate one by Picard steps, and those that models declare.
+"""The inverses by name: an exact one by root search, an approximate one by Picard steps, and those declared by models.
 
-The inverse ``general`` evaluates the model's kernel on a copy of its state. For any model it finds the voltage at which
-the model gives the commanded displacement.
+The inverse ``general`` evaluates the model's kernel with a copy of the model's state. For any model, it finds the
+voltage at which the model's output is the commanded displacement.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from hysteresis_ros.models.declaration import HysteresisBlock, OwnInverse, requi
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
 from hysteresis_ros.models.hysteresis.proportional import proportional_inverse
 
-# Layout of p_i; the first three are those of the Picard steps.
+# Layout of p_i; the first three entries are those of the Picard steps.
 GAIN = 2  # nominal gain [m/V]
 LOWEST = 3  # first of the two voltages of the search range [V]
 HIGHEST = 4
 
-#: Residual at which the search ends, relative to the displacements; a few units in the last place.
+#: Residual at which the search ends, relative to the displacements: a few units in the last place.
 TOLERANCE = 4.0e-16
 MOST_TRIALS = 120
 
@@ -49,17 +49,17 @@ def _trial(hysteresis, x_i, p_h, x_h, voltage):
 
 @composite(*INVERSE)
 def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is not changed.
+    """Return the voltage [V] at which the model's next output is ``displacement`` [m], exact to rounding.
 
-    Trial voltages start at the last voltage and go in the direction of the change until the model's output has passed
-    the target. Then regula falsi with Anderson-Björck weights narrows the bracket; bisection follows when three trials
-    have not halved it. The number of trials is bounded. A displacement beyond the model's range gives the lowest or the
-    highest voltage. NaN gives the last voltage.
+    Trial voltages start at the last voltage and go in the direction of the change, until the model's output has passed
+    the target. Then regula falsi with Anderson-Björck weights narrows the bracket; if three trials have not halved it,
+    bisection follows. The number of trials is bounded. For a displacement beyond the model's range, the result is the
+    lowest or the highest voltage; for NaN, it is the last voltage. ``x_h`` is not changed.
 
     Parameters
     ----------
     hysteresis : kernel
-        Any model that stores the last voltage and the last output in ``x[0]`` and ``x[1]``, or has no memory.
+        Any model that stores the last voltage and the last output in ``x[0]`` and ``x[1]``, or that has no memory.
     p_i : ndarray, shape (5,)
         Nominal gain [m/V] at index 2, lowest and highest voltage [V] at indices 3 and 4.
     x_i : ndarray, shape (>= len(x_h),)
@@ -70,7 +70,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
         Commanded output [m].
     """
     lowest, highest = p_i[LOWEST], p_i[HIGHEST]
-    # a model with one state has no memory: any start is valid
+    # a model with one state has no memory, so any start is valid
     near = max(lowest, min(highest, x_h[0])) if x_h.shape[0] > 1 else 0.0
     missing = displacement - _trial(hysteresis, x_i, p_h, x_h, near)
     if not abs(missing) > 0.0:
@@ -92,7 +92,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
             return far
         if far_error > 0.0:
             break
-        # extrapolate by the last slope and slightly beyond, at least by half the present distance
+        # extrapolate with the last slope and slightly further, by at least half of the present distance
         seen = far_error - near_error
         ahead = 1.1 * step * (-far_error / seen) if seen > 0.0 else 4.0 * step
         step = max(0.5 * step, min(ahead, 8.0 * step))
@@ -138,10 +138,10 @@ PICARD_GAIN = 2  # nominal gain [m/V]
 
 @composite(*INVERSE)
 def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] for ``displacement`` [m]: V_0 = V_r = displacement/gain, V_{j+1} = V_j + (V_r - R H(V_j)).
+    """Return the voltage for ``displacement`` [m]: V_0 = V_r = displacement/gain, V_{j+1} = V_j + (V_r - R H(V_j)).
 
-    One step gives the paper's compensator in its corrected form, 2 V_r - R X. Every trial H(V_j) starts from the state
-    ``x_h``, which is not changed.
+    One step gives the compensator of the paper in its corrected form, 2 V_r - R X. Every trial H(V_j) starts from the
+    state ``x_h``, which is not changed.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     return voltage
 
 
-#: Description and kernel of the general inverses; ``exact`` is the closed form of the model's own block.
+#: Descriptions and kernels of the general inverses; ``exact`` is the closed form of the model's own block.
 GENERAL_INVERSES = {
     "none": ("voltage = command / gain", proportional_inverse),
     "picard_steps": ("", picard),
@@ -178,14 +178,14 @@ GENERAL_INVERSES = {
 
 @dataclass(frozen=True)
 class BroughtInverse:
-    """An inverse declared by a model.
+    """An inverse that a model declares.
 
     Parameters
     ----------
     model : str
         Name of the model.
     inverse : OwnInverse
-        Its declaration.
+        The declaration of the inverse.
     """
 
     model: str
@@ -193,7 +193,7 @@ class BroughtInverse:
 
 
 def _brought() -> dict[str, BroughtInverse]:
-    """Return the inverses declared by models."""
+    """Return the inverses that models declare."""
     found: dict[str, BroughtInverse] = {}
     for model, declared in MODELS.items():
         for name, inverse in declared.own_inverses.items():
@@ -203,7 +203,7 @@ def _brought() -> dict[str, BroughtInverse]:
     return found
 
 
-#: Inverses declared by models, by name.
+#: Inverses that models declare, by name.
 BROUGHT = _brought()
 #: Names of all inverses.
 NAMES = (*GENERAL_INVERSES, *BROUGHT)
@@ -227,7 +227,7 @@ class InverseParameters(Parameters):
     )
 
     def fits(self, hysteresis: HysteresisParameters):
-        """Yield a Problem when this inverse does not work with the model."""
+        """Yield a Problem if this inverse does not work with the model."""
         kind, model, block = self.type, hysteresis.type, hysteresis.model.block
         brought = BROUGHT.get(kind)
         remedy = ""
@@ -241,7 +241,7 @@ class InverseParameters(Parameters):
             yield Problem("inverse.type", kind, remedy)
 
     def require_same(self, present: InverseParameters) -> None:
-        """Raise ParameterError when type or sizes differ from the ``present`` ones, which are fixed while running."""
+        """Raise ParameterError if type or sizes differ from those of ``present``, which are fixed while running."""
         if self.type != present.type:
             raise ParameterError([Problem("inverse.type", self.type, f"is fixed while running: keep {present.type}")])
         if self._own_block is not None:
@@ -260,19 +260,19 @@ class InverseParameters(Parameters):
         return None if brought is None else brought.inverse.block
 
     def own_block(self, sample_time: float):
-        """Return the block of the inverse's own equation; None if it uses the model's state."""
+        """Return the block with the inverse's own equation; None if the inverse uses the model's state."""
         block = self._own_block
         return None if block is None else block(getattr(self, self.type), sample_time)
 
     def packed(self, gain: float, lowest: float, highest: float) -> np.ndarray:
-        """Return the array p_i of the inverses that use a model's state, shape (5,).
+        """Return the array p_i for the inverses that use a model's state, shape (5,).
 
-        ``gain`` is the nominal gain of the model [m/V]; ``lowest`` and ``highest`` are the search range of ``general``
-        [V].
+        ``gain`` is the nominal gain of the model [m/V]; ``lowest`` and ``highest`` are the ends of the search range of
+        ``general`` [V].
         """
         return np.array([self.picard_steps, self.picard_rate or 1.0 / gain, gain, lowest, highest])
 
 
 def tries_model(inverse) -> bool:
-    """Return whether an inverse evaluates the model's kernel; the others are closed forms."""
+    """Return whether an inverse evaluates the model's kernel; all other inverses are closed forms."""
     return inverse in (picard, general)

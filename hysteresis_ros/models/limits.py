@@ -46,7 +46,7 @@ class LimitsParameters(Parameters):
     bits: int = parameter(0, description="bits of the converter over minimum … maximum; 0: none", low=0, high=32)
 
     def check(self):
-        """Yield a Problem when the range is empty."""
+        """Yield a Problem if the range is empty."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
 
@@ -55,8 +55,8 @@ class LimitsParameters(Parameters):
 def limits(p, x, u):
     """Return the output voltage [V] for the input ``u`` [V]: range, then slew rate, then the converter's grid.
 
-    The slew rate acts on the value before quantisation; otherwise a slow slew would never leave its grid point. For NaN
-    the output keeps the last value, and the sample counts as out of range.
+    The slew rate acts on the value before quantisation; otherwise, a slow change would never leave its grid point. For
+    NaN, the output keeps its last value, and the sample counts as out of range.
     """
     flags = 0.0
     last = x[UNQUANTISED]
@@ -94,7 +94,7 @@ def limits(p, x, u):
 
 @kernel
 def is_limited(x):
-    """Return 1.0 when range or slew rate limited the last voltage; quantisation does not count."""
+    """Return 1.0 if range or slew rate limited the last voltage; quantisation does not count."""
     return 1.0 if x[FLAGS] % 4.0 != 0.0 else 0.0
 
 
@@ -118,7 +118,7 @@ class Limits(Block):
         return np.array([parameters.minimum, parameters.maximum, parameters.slew_rate * self.sample_time, step])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (4,): the voltage in range and grid that is nearest to 0 V, no flags."""
+        """Return x, shape (4,): the voltage in the range and on the grid that is nearest to 0 V, and no flags."""
         v = min(max(0.0, self.p[MINIMUM]), self.p[MAXIMUM])
         x = np.array([v, 0.0, 0.0, v])
         unlimited = self.p.copy()

@@ -9,16 +9,16 @@
 
 """Linear dynamics of an actuator: discrete state-space systems, their kernels, delay and units (K4, K7).
 
-Every linear system of the package is a :class:`StateSpace`. A plant is measured before the input of its sample changes,
-y_k = C x_k + D u_(k-1); :meth:`StateSpace.held` is the system from u_k to that y_k.
+Every linear system of the package is a :class:`StateSpace`. A plant is measured before the input changes in the same
+sample: y_k = C x_k + D u_(k-1). :meth:`StateSpace.held` returns the system from u_k to this y_k.
 
 Matrices keep the units in which they were published; ``input_scale`` and ``output_scale`` (SI per model unit) convert
 to SI signals. In a Hammerstein model the dynamics have unit DC gain, which ``input_scale = 0`` sets.
 
-A delay τ = (m + f) T of amplifier, converter and transport, of m samples and a fraction f, is added to the matrices:
-the input acting in sample k is w_k = (1 − f) u_(k−m) + f u_(k−m−1), the mean over the sample of the delayed held input.
-For dynamics slow compared with a sample this is accurate; the delayed inputs are states. A rate-independent hysteresis
-and a delay commute, so the delay may be on either side of it.
+A delay τ = (m + f) T of amplifier, converter and transport (m samples and a fraction f of a sample) is added to the
+matrices. The input that acts in sample k is w_k = (1 − f) u_(k−m) + f u_(k−m−1), which is the mean of the delayed held
+input over the sample. This is accurate for dynamics that are slow compared with a sample; the delayed inputs are
+states. A rate-independent hysteresis and a delay commute, so the delay may be on either side of it.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from hysteresis_ros.models.block import Block, interpreted, kernel
 from hysteresis_ros.models.linear_algebra import exponential, product, solve
 
 #: A state nearer to 0 than this becomes 0. Otherwise a decaying state would become a subnormal number and remain one
-#: (0.9 · 2.5e-323 rounds to itself); processors compute up to thirty times more slowly with subnormal numbers. The
-#: processor's own mode for this is not used, because it may differ between threads and processes.
+#: (0.9 · 2.5e-323 rounds to itself); with subnormal numbers, processors compute up to thirty times more slowly. The
+#: mode in which a processor itself replaces them by 0 is not used, because it may differ between threads and processes.
 NOTHING = 1e-290
-#: A pole or zero nearer to the unit circle than this counts as lying on it.
+#: A pole or zero nearer to the unit circle than this counts as being on the circle.
 BOUNDARY = 1e-9
 
 
 @kernel
 def accumulate(total, p, row, x, first, n):
-    """Return ``total`` + Σ p[row + j] x[first + j] over j = 0 … n - 1, added up in this order."""
+    """Return ``total`` + Σ p[row + j] x[first + j] for j = 0 … n - 1, added in this order."""
     for j in range(n):
         total += p[row + j] * x[first + j]
     return total
@@ -60,7 +60,7 @@ def advance(p, matrix, column, x, state, n, u):
         x[state + n + i] = accumulate(p[column + i] * u, p, matrix + i * n, x, state, n)
     for i in range(n):
         value = x[state + n + i]
-        # this form of the comparison keeps NaN
+        # the comparison has this form, so that NaN stays
         x[state + i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
@@ -98,7 +98,7 @@ class StateSpace:
 
     @property
     def dc_gain(self):
-        """Gain C (I - A)⁻¹ B + D at frequency zero: a float for one input and output, else shape (q, m)."""
+        """Gain C (I - A)⁻¹ B + D at frequency zero: a float for one input and one output, else shape (q, m)."""
         gain = product(self.C, solve(np.eye(self.order) - self.A, self.B)) + self.D
         return float(gain[0, 0]) if gain.size == 1 else gain
 
@@ -108,7 +108,7 @@ class StateSpace:
         Parameters
         ----------
         z : array_like, shape (N,)
-            Points of the z plane; exp(2π i f T) for the frequency f and the sample time T.
+            Points in the z plane; exp(2π i f T) for the frequency f and the sample time T.
 
         Returns
         -------
@@ -121,7 +121,7 @@ class StateSpace:
         return self.C @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(z), *self.B.shape))) + self.D
 
     def held(self) -> StateSpace:
-        """Return the system from u_k to y_k = C x_k + D u_(k-1); its last states are the previous input.
+        """Return the system from u_k to y_k = C x_k + D u_(k-1); its last states are the previous inputs.
 
         Returns
         -------
@@ -138,7 +138,7 @@ class StateSpace:
 
     @property
     def shown(self) -> StateSpace:
-        """The system with its first output only."""
+        """The system with only its first output."""
         return StateSpace(self.A, self.B, self.C[:1], self.D[:1])
 
     def part(self, states, inputs=None) -> StateSpace:
@@ -147,7 +147,7 @@ class StateSpace:
         Parameters
         ----------
         states : array_like of int
-            States to keep; they must not depend on the others.
+            States to keep; they must not depend on the other states.
         inputs : array_like of int, optional
             Inputs to keep; all by default.
         """
@@ -157,9 +157,9 @@ class StateSpace:
         )
 
 
-#: Relative difference below which sample times count as equal: a file may state them with fewer digits.
+#: Sample times count as equal up to this relative difference, because a file may state them with fewer digits.
 SAMPLE_TIME_TOLERANCE = 1e-6
-#: Tolerance for a delay of whole samples [samples].
+#: Tolerance with which a delay counts as whole samples [samples].
 DELAY_TOLERANCE = 1e-6
 #: Longest delay [samples].
 LONGEST_DELAY = 64
@@ -171,13 +171,13 @@ INPUT_SCALE = 2
 OUTPUT_SCALE = 3
 MATRICES = 4
 
-# Layout of x, followed by the n states and n numbers of scratch for the next ones.
+# Layout of x, followed by the n states, and n entries of scratch for the next states.
 HELD_INPUT = 0  # input of the last advance [SI]
 STATE = 1
 
 
 def zero_order_hold(A, B, sample_time: float):
-    """Return the discrete (A, B) of continuous ``x' = A x + B u`` whose input is held over ``sample_time`` [s]."""
+    """Return the discrete (A, B) of the continuous ``x' = A x + B u`` for an input held over ``sample_time`` [s]."""
     A, B = np.atleast_2d(np.asarray(A, dtype=float)), np.asarray(B, dtype=float)
     B = B.reshape(len(A), -1)
     n, m = B.shape
@@ -187,7 +187,7 @@ def zero_order_hold(A, B, sample_time: float):
 
 @dataclass(frozen=True)
 class LinearParameters(Parameters):
-    """Discrete state space x⁺ = A x + B u, y = C x + D u in model units; without A the dynamics are y = u."""
+    """Discrete state space x⁺ = A x + B u, y = C x + D u in model units; without A, y = u."""
 
     A: tuple[float, ...] = parameter((), description="state matrix, n·n numbers row by row; empty: no dynamics")
     B: tuple[float, ...] = parameter((), description="input matrix, n numbers")
@@ -235,7 +235,7 @@ class LinearParameters(Parameters):
 
     @property
     def state_space(self) -> StateSpace:
-        """The dynamics in model units, one input and one output; with a delay the last inputs are its last states."""
+        """The dynamics in model units, one input and one output; with a delay, the last states are the last inputs."""
         model, (whole, part) = self.matrices, self.delayed_samples
         if not whole and not part:
             return model
@@ -250,16 +250,16 @@ class LinearParameters(Parameters):
         A[n + 1 :, n : order - 1] = np.eye(order - n - 1)
         B[n] = 1.0
         C[0, :n] = model.C[0]
-        # the measurement contains the previous input, u_(k-1), as feedthrough, and earlier ones as states
+        # the measurement contains the previous input u_(k-1) as feedthrough, and earlier inputs as states
         C[0, n + 1 :] = through * inputs[1:-1]
         return StateSpace(A, B, C, np.array([[through * inputs[0]]]))
 
     @property
     def acting(self) -> tuple[np.ndarray, float]:
-        """Input that acts in a sample, as (row, through): row · x + through · u for state x and input u."""
+        """The input that acts in a sample, as (row, through): row · x + through · u for the state x and the input u."""
         whole, part = self.delayed_samples
         n, row = self._rows, np.zeros(self.order)
-        # the states continue with the last inputs, u_(k-1) first, after the states of the matrices
+        # after the states of the matrices, the states contain the last inputs, u_(k-1) first
         if whole:
             row[n + whole - 1] = 1.0 - part
         if part:
@@ -276,11 +276,11 @@ class LinearParameters(Parameters):
 
     @functools.cached_property
     def resolved_input_scale(self) -> float:
-        """``input_scale``; if it is 0, the value that makes the DC gain in SI units 1."""
+        """``input_scale``; if it is 0, the value with which the DC gain in SI units is 1."""
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Raise ParameterError about ``name`` for a sample time [s] other than the one stated for the matrices."""
+        """Raise ParameterError about ``name`` if a sample time [s] differs from the one stated for the matrices."""
         if not self.order or not self.sample_time:
             return
         if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
@@ -292,7 +292,7 @@ class LinearParameters(Parameters):
             raise ParameterError([Problem(name, self.sample_time, remedy)])
 
     def check(self):
-        """Yield a Problem for wrong sizes, an unstable A, an unusable DC gain, and a delay without sample time."""
+        """Yield a Problem for wrong sizes, an unstable A, an unusable DC gain, or a delay without a sample time."""
         n = self._rows
         if self.delay and not self.sample_time:
             yield Problem("delay", self.delay, "needs sample_time, because it is counted in samples; give it")
@@ -327,7 +327,7 @@ class LinearParameters(Parameters):
 
 @kernel
 def linear_output(p, x):
-    """Output [SI] at the present state; the feedthrough acts on the last held input."""
+    """Return the output [SI] at the present state; the feedthrough acts on the last held input."""
     n = int(p[ORDER])
     c = MATRICES + n * n + n
     y = p[FEEDTHROUGH] * (x[HELD_INPUT] / p[INPUT_SCALE])
@@ -346,7 +346,7 @@ def linear_advance(p, x, u):
 
 @kernel
 def linear(p, x, u):
-    """Output [SI] one sample after the input ``u`` [SI] was applied: advance, then output."""
+    """Return the output [SI] one sample after the input ``u`` [SI] was applied: advance, then output."""
     linear_advance(p, x, u)
     return linear_output(p, x)
 
@@ -364,7 +364,7 @@ class LinearDynamics(Block):
     Raises
     ------
     ParameterError
-        The parameters are wrong, or are for another sample time.
+        The parameters are wrong, or are meant for another sample time.
     """
 
     kernel = staticmethod(linear)
@@ -385,7 +385,7 @@ class LinearDynamics(Block):
         return interpreted(linear_output)(self.p, self.x)
 
     def settle(self, u: float) -> None:
-        """Set the state to the steady state at the constant input ``u`` [SI]."""
+        """Set the state to the steady state for the constant input ``u`` [SI]."""
         model, n = self.parameters.state_space, self.parameters.order
         self.x[:] = 0.0
         self.x[HELD_INPUT] = u
@@ -393,7 +393,7 @@ class LinearDynamics(Block):
             self.x[STATE : STATE + n] = solve(np.eye(n) - model.A, model.B[:, 0] * (u / self.p[INPUT_SCALE]))
 
     def retune(self, parameters: LinearParameters) -> None:
-        """Change to matrices of the same order while running; the state is kept.
+        """Change to matrices of the same order while running; the state stays.
 
         Raises
         ------

@@ -9,13 +9,13 @@
 
 """Dense linear algebra of small matrices, with identical results on every processor.
 
-BLAS and LAPACK choose their kernels by processor. Their sums then have another order, or use fused multiply-add, and
-the last digit differs. Numbers that a running axis uses (gains, steady states, input scales, inverse filters) are
-therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of float64,
-each rounded correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such
-steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
+BLAS and LAPACK choose their kernels by the type of processor. Sums then have another order, or use fused multiply-add,
+so that the last digit differs. Numbers that a running axis uses (gains, steady states, input scales, inverse filters)
+are therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of
+float64, rounded correctly by IEEE 754; the order of the steps depends only on the sizes. NumPy's elementwise operations
+consist of such steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
 
-Rank, stability and printed figures may use ``np.linalg``, because they do not enter these numbers.
+Rank, stability and printed figures may use ``np.linalg``, because these numbers do not depend on them.
 
 References
 ----------
@@ -32,18 +32,18 @@ import math
 
 import numpy as np
 
-#: Newton steps of a Riccati solution have converged when the relative change is below the first number, or when it is
-#: below the second and no longer falls (a slow closed loop multiplies rounding errors). The third is the maximum number
-#: of steps.
+#: Newton steps of a Riccati solution have converged if the relative change is below NEWTON_CHANGE, or if it is below
+#: LARGEST_NEWTON_CHANGE and no longer decreases (a slow closed loop multiplies rounding errors). NEWTON_STEPS is the
+#: maximum number of steps.
 NEWTON_CHANGE = 1e-13
 LARGEST_NEWTON_CHANGE = 1e-8
 NEWTON_STEPS = 12
-#: Number of doublings after which a Riccati iteration has failed: 2^60 samples of the closed loop.
+#: A Riccati iteration has failed after this number of doublings, which corresponds to 2^60 samples of the closed loop.
 DOUBLINGS = 60
-#: Number of QR steps for one eigenvalue after which the iteration has failed.
+#: The iteration has failed if one eigenvalue needs more than this number of QR steps.
 QR_STEPS = 60
 EPSILON = 2.0**-52
-#: Fraction of the largest entry below which entries are ignored in balancing.
+#: In balancing, entries smaller than this fraction of the largest entry are ignored.
 NEGLIGIBLE = 2.0**-100
 #: Significant digits of :func:`rounded`.
 DIGITS = 13
@@ -55,7 +55,7 @@ PADE_NORM = 4.0
 
 
 def product(*factors) -> np.ndarray:
-    """Return the matrix product of all factors, computed from left to right; each sum runs in the order of its index.
+    """Return the matrix product of all factors, from left to right; each sum is computed in the order of its index.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def solve(matrix, right) -> np.ndarray:
     """
     upper, given = np.array(matrix, dtype=float), np.array(right, dtype=float)
     n = len(upper)
-    x = given if given.ndim == 2 else given[:, np.newaxis]  # a copy, changed in place
+    x = given if given.ndim == 2 else given[:, np.newaxis]  # a copy, which is changed in place
     for j in range(n):
         pivot = j + int(np.argmax(np.abs(upper[j:, j])))
         if not abs(upper[pivot, j]) > 0.0:
@@ -136,7 +136,7 @@ def exponential(matrix) -> np.ndarray:
 
 
 def polynomial(roots) -> np.ndarray:
-    """Return the real coefficients of Π (z - root), the highest power first, shape (n + 1,).
+    """Return the real coefficients of Π (z - root), with the highest power first, shape (n + 1,).
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def polynomial(roots) -> np.ndarray:
     coefficients = np.ones(1)
     for root in map(complex, roots):
         if root.imag < 0.0:
-            continue  # its conjugate represents both
+            continue  # the conjugate root represents both
         pair = (-2.0 * root.real, root.real * root.real + root.imag * root.imag)
         factor = pair if root.imag > 0.0 else (-root.real,)
         longer = np.append(coefficients, np.zeros(len(factor)))
@@ -157,16 +157,16 @@ def polynomial(roots) -> np.ndarray:
 
 
 def rounded(values) -> np.ndarray:
-    """Return an array rounded to :data:`DIGITS` significant digits, for results of LAPACK or the C library."""
+    """Return an array rounded to :data:`DIGITS` significant digits, for results of LAPACK or of the C library."""
     values = np.asarray(values, dtype=float)
     return np.array([float(f"{value:.{DIGITS}g}") for value in values.ravel()]).reshape(values.shape)
 
 
 def balance(matrix) -> np.ndarray:
-    """Return the powers of two t, shape (n,), that balance rows and columns of ``matrix[i, j] t[j] / t[i]``."""
+    """Return powers of two t, shape (n,), for which rows and columns of ``matrix[i, j] t[j] / t[i]`` are balanced."""
     size, scale = np.abs(np.array(matrix, dtype=float)), np.ones(len(matrix))
     np.fill_diagonal(size, 0.0)
-    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # balancing them would need powers that overflow
+    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # balancing these would need powers that overflow
     for _ in range(20):
         before = scale.copy()
         for i in range(len(size)):
@@ -184,7 +184,7 @@ def balance(matrix) -> np.ndarray:
 def riccati(A, B, Q, R) -> np.ndarray:
     """Return the stabilising P of P = Aᵀ P A − Aᵀ P B (R + Bᵀ P B)⁻¹ Bᵀ P A + Q by structure-preserving doubling [2]_.
 
-    Newton steps refine the solution until it converges, which also checks the residual.
+    Newton steps refine the solution until they converge, which also verifies the residual.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def riccati(A, B, Q, R) -> np.ndarray:
     Raises
     ------
     numpy.linalg.LinAlgError
-        No stabilising solution is found.
+        No stabilising solution was found.
     """
     A, B, Q, R = (np.array(matrix, dtype=float, ndmin=2) for matrix in (A, B, Q, R))
     scale = balance(A)  # x = T z: exact, since T are powers of two
@@ -234,9 +234,9 @@ def _feedback(A, B, R, P):
 
 
 def _refined(A, B, Q, R, P):
-    """Return P after Newton steps: each P is the cost of the feedback from the previous P, summed by doubling.
+    """Return P after Newton steps: P of each step is the cost of the feedback from the previous P, summed by doubling.
 
-    Doubling alone loses digits when the input weight is small.
+    Doubling alone loses digits if the input weight is small.
     """
     last = math.inf
     for _ in range(NEWTON_STEPS):
@@ -262,7 +262,7 @@ def eigenvalues(matrix) -> np.ndarray:
     Raises
     ------
     numpy.linalg.LinAlgError
-        The iteration does not converge (for instance because an entry is not finite).
+        The iteration does not converge, for example because an entry is not finite.
     """
     scale = balance(matrix)
     H = np.array(matrix, dtype=float) * scale / scale[:, np.newaxis]
@@ -319,7 +319,7 @@ def _qr_step(H, exceptional: bool) -> None:
 
 
 def _to_hessenberg(H, width: int) -> None:
-    """Bring a matrix to Hessenberg form in place; ``width`` > 0 is the number of subdiagonals that are not zero."""
+    """Transform a matrix to Hessenberg form in place; ``width`` > 0 is its number of subdiagonals that are not zero."""
     for j in range(len(H) - 2):
         last = len(H) if not width else min(len(H), j + 1 + width)
         _reflect(H, H[j + 1 : last, j].copy(), j + 1)
@@ -327,7 +327,7 @@ def _to_hessenberg(H, width: int) -> None:
 
 
 def _reflect(H, vector, first: int) -> None:
-    """Apply, from both sides, the Householder reflection of ``vector`` (rows from ``first``) onto its first axis."""
+    """Apply the Householder reflection of ``vector`` (rows from ``first``) onto its first axis, from both sides."""
     largest = float(np.max(np.abs(vector)))
     if not largest > 0.0:
         return

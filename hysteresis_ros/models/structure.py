@@ -8,18 +8,18 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Structure of several actuators: linear dynamics from all inputs to all outputs, hysteresis inside them.
+"""Structure of several actuators: linear dynamics from all inputs to all outputs, with hysteresis inside them.
 
 With m inputs u [V], q outputs y [m] and n states x:
 
     z_i = g_i u_i + C_z,i x,   w_i = Σ_j a_ij play_rj(z_i),   x⁺ = A x + B u + B_w w,   y = C x + D u.
 
-Each actuator has its own hysteresis. Its input z_i contains the voltage of the actuator and, through C_z, the motion of
-the structure at the actuator. An actuator may have several hystereses, for example of its ceramic and of its joints:
-with h = m, 2 m … hystereses, hysteresis i is driven by input i mod m. The play operators are those of Prandtl and
-Ishlinskii [1]_, collocated with the actuators, so the modes shift with the level of the excitation. Hysteresis in front
-of linear dynamics cannot reproduce this shift. z has no feedthrough from w: w depends only on the state and the voltage
-of the same sample, so there is no algebraic loop.
+Each actuator has its own hysteresis. The input z_i of a hysteresis contains the voltage of its actuator and, through
+C_z, the motion of the structure at this actuator. An actuator may have several hystereses, for example of its ceramic
+and of its joints: with h = m, 2 m … hystereses, hysteresis i is driven by input i mod m. The play operators are those
+of Prandtl and Ishlinskii [1]_ and are collocated with the actuators. Therefore the modes shift with the level of the
+excitation, which hysteresis in front of linear dynamics cannot reproduce. There is no feedthrough from w to z: w
+depends only on the state and the voltage of the same sample, so there is no algebraic loop.
 
 States, weights and g have no unit; z, w and the radii are in volts.
 
@@ -42,11 +42,11 @@ from hysteresis_ros.models.linear_algebra import product, solve
 
 #: Maximum number of inputs and of outputs.
 MOST_CHANNELS = 16
-#: Maximum number of fixed-point iterations for a steady state, and the relative change at which they have converged.
+#: Maximum number of fixed-point iterations for a steady state, and relative change below which they have converged.
 REST_STEPS, REST_CHANGE = 1000, 1e-13
 
-# Layout of p: the sizes; for each row of A, the index of the first nonzero column and the index after the last one;
-# then the matrices row by row in the order A, B, B_w, C, D, C_z, g, radii, weights.
+# Layout of p: the sizes; for each row of A, the index of the first nonzero column and one plus the index of the last
+# one; then the matrices, row by row, in the order A, B, B_w, C, D, C_z, g, radii, weights.
 ORDER = 0
 INPUTS = 1
 OUTPUTS = 2
@@ -54,12 +54,13 @@ HYSTERESES = 3
 PLAYS = 4  # number of plays of each hysteresis
 ROWS = 5
 
-# Layout of x: n states, n temporary numbers for the next states, w of the h hystereses, then their plays.
+# Layout of x: n states, n entries of scratch for the next states, w of the h hystereses, then the plays of all
+# hystereses.
 
 
 @dataclass(frozen=True)
 class StructureParameters(Parameters):
-    """Structure of m inputs, q outputs, n states and h hystereses of r plays; matrices are numbers row by row."""
+    """Structure with m inputs, q outputs, n states and h hystereses of r plays; matrices are given row by row."""
 
     inputs: int = parameter(description="number of inputs m (actuators)", low=1, high=MOST_CHANNELS)
     outputs: int = parameter(description="number of outputs q (sensors)", low=1, high=MOST_CHANNELS)
@@ -90,7 +91,7 @@ class StructureParameters(Parameters):
 
     @property
     def hystereses(self) -> int:
-        """Number of hystereses h, a multiple of the inputs."""
+        """Number of hystereses h, a multiple of the number of inputs."""
         return len(self.weights) // len(self.radii) if self.radii else self.inputs
 
     @property
@@ -110,7 +111,7 @@ class StructureParameters(Parameters):
 
     @property
     def linear(self) -> StateSpace:
-        """The dynamics without the hysteresis, from u to y."""
+        """The dynamics from u to y without the hysteresis."""
         n, m, q = self.order, self.inputs, self.outputs
         return StateSpace(self.state_matrix, self._matrix("B", n, m), self._matrix("C", q, n), self._matrix("D", q, m))
 
@@ -143,10 +144,10 @@ class StructureParameters(Parameters):
         return self._matrix("C_z", self.hystereses, self.order)
 
     def sliding(self, slopes) -> StateSpace:
-        """Return the linear system from u to y with w_i = ``slopes``_i z_i.
+        """Return the linear system from u to y for w_i = ``slopes``_i z_i.
 
-        For small motions the slopes are the weights of the plays with radius 0; for large motions they are the sums of
-        all weights.
+        For small motions, the slopes are the weights of the plays with radius 0; for large motions, they are the sums
+        of all weights of a hysteresis.
         """
         linear, into = self.linear, self.hysteresis_input * np.asarray(slopes, dtype=float)
         A = linear.A + product(into, self.hysteresis_motion)
@@ -172,7 +173,7 @@ class StructureParameters(Parameters):
             raise ParameterError([Problem(name, self.sample_time, allowed)])
 
     def check(self):
-        """Yield a Problem for inconsistent sizes, negative radii, and an unstable structure."""
+        """Yield a Problem for inconsistent sizes, negative radii, or an unstable structure."""
         m, q, r = self.inputs, self.outputs, len(self.radii)
         n, h = self.order, self.hystereses
         problems = []
@@ -206,7 +207,7 @@ class StructureParameters(Parameters):
 
 @kernel
 def structure_output(p, x, u, y):
-    """Fill ``y`` (q) with C x + D u of the present state and the inputs ``u`` (m)."""
+    """Write C x + D u, for the present state and the inputs ``u`` (m), to ``y`` (q)."""
     n, m, q = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS])
     c = ROWS + 2 * n + n * n + n * m + n * int(p[HYSTERESES])
     d = c + q * n
@@ -240,27 +241,27 @@ def structure_advance(p, x, u):
             w += p[weight + i * r + j] * value
         x[drive + i] = w
     for i in range(n):
-        # a block-diagonal A (of modes) costs two products per row
+        # if A is block-diagonal (modes), a row takes only two products
         first, behind = int(p[ROWS + 2 * i]), int(p[ROWS + 2 * i + 1])
         total = accumulate(0.0, p, b + i * m, u, 0, m)
         total = accumulate(total, p, bw + i * h, x, drive, h)
         x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
     for i in range(n):
         value = x[n + i]
-        # this form of the comparison preserves NaN
+        # the comparison has this form, so that NaN stays
         x[i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
 @composite("void", "array", "array", "table", "table")
 def run_structure(p, x, u, y):
-    """Fill ``y`` (N, q) sample by sample for the inputs ``u`` (N, m)."""
+    """Write the outputs, sample by sample, for the inputs ``u`` (N, m) to ``y`` (N, q)."""
     for k in range(u.shape[0]):
         structure_output(p, x, u[k], y[k])
         structure_advance(p, x, u[k])
 
 
 class Structure:
-    """A structure that runs: each step returns the output of the present state and advances by one sample.
+    """A running structure: each step returns the output of the present state and advances by one sample.
 
     Parameters
     ----------
@@ -289,7 +290,7 @@ class Structure:
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of the state array; assign it to restore the state exactly."""
+        """Copy of the state array; assign it to restore the state exactly."""
         return self.x.copy()
 
     @state.setter
@@ -309,7 +310,7 @@ class Structure:
         return y
 
     def simulate(self, u) -> np.ndarray:
-        """Return the outputs [m], shape (N, q), for the inputs ``u`` [V], shape (N, m), from the present state on."""
+        """Return the outputs [m], shape (N, q), for inputs ``u`` [V], shape (N, m), starting at the present state."""
         u = np.ascontiguousarray(u, dtype=np.float64)
         if u.ndim != 2 or u.shape[1] != self.parameters.inputs:
             allowed = f"must have shape (N, {self.parameters.inputs}), a column for each input"
@@ -319,7 +320,7 @@ class Structure:
         return y
 
     def settle(self, u) -> None:
-        """Set the state to the steady state at the constant inputs ``u`` [V], reached from zero without reversal.
+        """Set the state to the steady state for constant inputs ``u`` [V], reached from zero without reversal.
 
         Raises
         ------
@@ -334,7 +335,7 @@ class Structure:
         for _ in range(REST_STEPS):
             x = solve(still, product(linear.B, u) + product(given.hysteresis_input, w))
             z = product(given.hysteresis_gains, u) + product(given.hysteresis_motion, x)
-            # from zero a play moves to the nearest value within its radius of z
+            # starting at zero, a play moves to the nearest value within its radius of z
             plays = np.sign(z)[:, None] * np.maximum(np.abs(z)[:, None] - radii, 0.0)
             before, w = w, (given.play_weights * plays).sum(axis=1)
             if np.all(np.abs(w - before) <= REST_CHANGE * np.abs(w)):
@@ -346,7 +347,7 @@ class Structure:
 
 
 def packed(parameters: StructureParameters) -> np.ndarray:
-    """Return p of the kernels."""
+    """Return the parameter array p of the kernels."""
     linear, n = parameters.linear, parameters.order
     sizes = parameters.inputs, parameters.outputs, parameters.hystereses, len(parameters.radii)
     used = linear.A != 0.0

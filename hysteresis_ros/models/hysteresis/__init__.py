@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis models: each is one file or folder here and is found automatically; a parameter chooses one by name.
+"""The hysteresis models: each is a file or folder in this folder and is found automatically; a parameter selects one.
 
 :mod:`hysteresis_ros.models.declaration` describes the declaration of a model.
 """
@@ -22,14 +22,14 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.declaration import HysteresisBlock, HysteresisModel, require_structure
 from hysteresis_ros.registry import discover
 
-#: The models by name.
+#: The models, by name.
 MODELS: dict[str, HysteresisModel] = discover(__name__, "MODEL", HysteresisModel, "hysteresis_ros.models")
 
 
 @dataclass(frozen=True)
 @variants("type", {name: model.parameters for name, model in MODELS.items()})
 class HysteresisParameters(Parameters):
-    """Type of the hysteresis model, and the parameters of every model in a group with the model's name."""
+    """Type of the hysteresis model, and parameters of every model in a group with the name of the model."""
 
     type: str = parameter(description="hysteresis model", choices=tuple(MODELS), read_only=True)
 
@@ -81,7 +81,7 @@ class HysteresisParameters(Parameters):
         return self if shifted is None else self.changed(shifted(self.chosen, offset))
 
     def require_same(self, present: HysteresisParameters) -> None:
-        """Raise ParameterError when type or sizes differ from the ``present`` ones, which are fixed while running."""
+        """Raise ParameterError if type or sizes differ from those of ``present``, which are fixed while running."""
         if self.type != present.type:
             raise ParameterError(
                 [Problem("hysteresis.type", self.type, f"is fixed while running: keep {present.type}")]
@@ -92,7 +92,7 @@ class HysteresisParameters(Parameters):
 def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> HysteresisBlock:
     """Return the block of the chosen model; ParameterError if its type or parameters are wrong.
 
-    Besides the attributes of every block it has ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
+    In addition to the attributes of every block, it has ``gain`` [m/V], ``inverse`` (closed-form inverse, or None),
     ``rate_independent``, ``invertible`` and ``rebase()``.
     """
     parameters = parameters.validated()

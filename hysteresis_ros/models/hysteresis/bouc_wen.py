@@ -13,7 +13,7 @@ r"""Bouc-Wen hysteresis: displacement x = d_e V - h with a hysteretic part h of 
 
    x = d_e V - h, \qquad \dot h = \alpha \dot V - \beta |\dot V| \, h \, |h|^{n-1} - \gamma \dot V |h|^n
 
-[1]_, eqs 5-8. The law depends on time only through V: along a monotone step, with σ = |V - V_0| and g = ±h counted
+[1]_, eqs 5-8. Time occurs in the law only through V. Along a monotone step, with σ = |V - V_0| and with g = ±h counted
 positive in the direction of motion,
 
 .. math::
@@ -22,10 +22,10 @@ positive in the direction of motion,
    \frac{dg}{d\sigma} = \alpha + (\beta - \gamma) |g|^n \quad (g < 0)
 
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
-other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
-changes by at most the fraction :data:`CURVATURE`. The zero of g is located, so that no substep spans the kink there.
-Compared with a solution of 12 digits the error is below 1e-6 of the stroke for steps of any size, and below 1e-9 for
-300 steps per sweep.
+other exponents, each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
+changes by at most the fraction :data:`CURVATURE`. The zero of g is located, so that no substep spans the kink at this
+point. Compared with a solution of 12 digits, the error is below 1e-6 of the stroke for steps of any size, and below
+1e-9 for 300 steps per sweep.
 
 The paper prints |dV/dt| V instead of |dV/dt| h; with the printed form the output diverges.
 
@@ -71,7 +71,7 @@ STATES = 3
 CURVATURE = 0.005
 #: Maximum number of substeps of one step; a step that needs more crosses the whole range, where h saturates anyway.
 MOST_SUBSTEPS = 20000
-#: Outside the bounded class h may grow by a factor of at most e^RUNAWAY per step, so that it stays finite.
+#: Outside the bounded class, h may grow by at most the factor e^RUNAWAY in a step, so that it stays finite.
 RUNAWAY = 600.0
 #: Maximum number of Newton steps; three or four suffice for a monotone loop.
 MOST_NEWTON_STEPS = 50
@@ -89,14 +89,14 @@ class BoucWenParameters(Parameters):
     exponent: float = parameter(1.0, description="exponent n; 1 is integrated in closed form", low=1.0, high=20.0)
 
     def check(self):
-        """Yield a Problem when the initial displacement falls with rising voltage."""
+        """Yield a Problem if the initial displacement decreases with rising voltage."""
         if self.alpha >= self.d_e:
             yield Problem(
                 "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; otherwise the virgin curve falls"
             )
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return warnings: parameters outside the bounded class (β + γ > 0, β - γ >= 0), loops that are not monotone.
+        """Return warnings about parameters outside the bounded class (β + γ > 0, β - γ >= 0) and loops not monotone.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class BoucWenParameters(Parameters):
 
 @kernel
 def exponential_step(g, slope, rate, distance):
-    """Solution of g' = slope - rate g after ``distance``; also for rate 0."""
+    """Return the solution of g' = slope - rate g after ``distance``; also for rate 0."""
     exponent = max(rate * distance, -RUNAWAY)
     if exponent == 0.0:
         return g + slope * distance
@@ -136,7 +136,7 @@ def exponential_step(g, slope, rate, distance):
 
 @kernel
 def _linear_advance(p, g, distance):
-    """Value of g after ``distance`` [V] for exponent 1, in closed form."""
+    """Return the value of g after ``distance`` [V] for the exponent 1, in closed form."""
     alpha = p[ALPHA]
     if g < 0.0:
         rate = p[BETA] - p[GAMMA]
@@ -152,7 +152,7 @@ def _linear_advance(p, g, distance):
 
 @kernel
 def slope_of_h(p, g):
-    """Slope dg/dσ [m/V] of the hysteretic part, g counted positive in the direction of motion."""
+    """Return the slope dg/dσ [m/V] of the hysteretic part, with g counted positive in the direction of motion."""
     n = p[EXPONENT]
     size = abs(g)
     power = size if n == 1.0 else elementary.pow(size, n)
@@ -163,7 +163,7 @@ def slope_of_h(p, g):
 
 @kernel
 def _runge_kutta(alpha, rate, n, g, step):
-    """One step of g' = alpha - rate |g|^n."""
+    """Return g after one Runge-Kutta step of g' = alpha - rate |g|^n."""
     k1 = alpha - rate * elementary.pow(abs(g), n)
     k2 = alpha - rate * elementary.pow(abs(g + 0.5 * step * k1), n)
     k3 = alpha - rate * elementary.pow(abs(g + 0.5 * step * k2), n)
@@ -173,7 +173,7 @@ def _runge_kutta(alpha, rate, n, g, step):
 
 @kernel
 def _power_advance(p, g, distance):
-    """Value of g after ``distance`` [V] for any exponent, by Runge-Kutta steps on each side of zero."""
+    """Return the value of g after ``distance`` [V] for any exponent, by Runge-Kutta steps on each side of zero."""
     alpha, n = p[ALPHA], p[EXPONENT]
     left = distance
     for _ in range(MOST_SUBSTEPS):
@@ -200,7 +200,7 @@ def _power_advance(p, g, distance):
 
 @kernel
 def hysteretic_part(p, x, u):
-    """Value of h [m] after the voltage has moved monotonically from the one in ``x`` to ``u`` [V]; x is not changed."""
+    """Return h [m] after a monotone change of the voltage from the one in ``x`` to ``u`` [V]; x is not changed."""
     direction = 1.0 if u > x[VOLTAGE] else -1.0
     distance = abs(u - x[VOLTAGE])
     if p[EXPONENT] == 1.0:
@@ -210,7 +210,7 @@ def hysteretic_part(p, x, u):
 
 @kernel
 def bouc_wen(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
+    """Return the displacement [m] after a monotone change of the voltage to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) > 0.0:
         return x[DISPLACEMENT]
     x[H] = hysteretic_part(p, x, u)
@@ -221,11 +221,11 @@ def bouc_wen(p, x, u):
 
 @kernel
 def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] that solves V = (ψ + h(V))/d_e, where h(V) is the hysteretic part after the step to V (B5).
+    """Return the voltage V [V] with V = (ψ + h(V))/d_e, where h(V) is the hysteretic part after the step to V (B5).
 
-    The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the model's
-    own equation. If the loop is not monotone (see the warnings of the parameters), V = (ψ + h)/d_e replaces a Newton
-    step. ``x_h`` is not changed.
+    This is the inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the
+    model's own equation. If the loop is not monotone (see the warnings of the parameters), the iteration V = (ψ +
+    h)/d_e replaces Newton steps. ``x_h`` is not changed.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ class BoucWenHysteresis(RateIndependentBlock):
         return float(self.p[D_E] - self.p[ALPHA])
 
     def rebase(self) -> None:
-        """Adjust the hysteretic part to the present point, so that changed parameters do not change the output."""
+        """Adjust the hysteretic part to the present point, so that new parameters do not change the output."""
         self.x[H] = self.p[D_E] * self.x[VOLTAGE] - self.x[DISPLACEMENT]
 
 

@@ -14,9 +14,9 @@ r"""Bouc-Wen oscillator: the hysteretic force is part of the equation of motion 
    m \ddot y + c \dot y + k y + z = u, \qquad
    \dot z = \alpha \dot y - \beta \left( \gamma |\dot y| |z|^{\nu - 1} z + \delta \dot y |z|^\nu \right)
 
-The hysteretic force depends on the velocity, which it affects, so this is one block with internal feedback, not a
-hysteresis followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal substeps of the
-sample time.
+The hysteretic force depends on the velocity and also affects it. Therefore this model is one block with internal
+feedback, not a hysteresis followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal
+substeps of the sample time.
 
 References
 ----------
@@ -57,13 +57,13 @@ SUBSTEP = 8  # [s]
 SUBSTEPS = 9
 LINEAR = 10  # 1: linear input between samples; 0: held input
 
-# Layout of x, after the last input VOLTAGE and DISPLACEMENT.
+# Layout of x; VOLTAGE (the last input) and DISPLACEMENT come first.
 VELOCITY = 2
 Z = 3  # hysteretic force [N]
 STARTED = 4
 STATES = 5
 
-#: Largest substep times the highest frequency of the oscillator; the method is stable up to 2.8.
+#: Largest product of substep and highest angular frequency of the oscillator; the method is stable up to 2.8.
 LARGEST_STEP = 1.5
 
 
@@ -89,12 +89,12 @@ class BoucWenMechanicalParameters(Parameters):
     substeps: int = parameter(4, description="integration steps per sample", low=1, high=10000)
 
     def check(self):
-        """Yield a Problem when the input has no effect."""
+        """Yield a Problem if the input has no effect."""
         if self.force_per_input == 0.0:
             yield Problem("force_per_input", 0.0, "must not be 0")
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a warning when the hysteretic force is unbounded."""
+        """Return a warning if the hysteretic force is unbounded."""
         total = self.beta * (self.gamma + self.delta)
         steady = self.beta * (self.gamma - self.delta)
         if total <= 0.0 and steady <= 0.0:
@@ -104,7 +104,7 @@ class BoucWenMechanicalParameters(Parameters):
 
 @kernel
 def _force_rate(p, velocity, z):
-    """Rate z' [N/s] of the hysteretic force."""
+    """Return the rate z' [N/s] of the hysteretic force."""
     n = p[EXPONENT]
     size = abs(z)
     power = size if n == 1.0 else elementary.pow(size, n)
@@ -119,7 +119,7 @@ def _acceleration(p, force, y, velocity, z):
 
 @kernel
 def _advance(p, x, start, end):
-    """Integrate over one sample with the input going from ``start`` to ``end``."""
+    """Integrate over one sample, in which the input goes from ``start`` to ``end``."""
     step, count = p[SUBSTEP], int(p[SUBSTEPS])
     force_per_input = p[FORCE_PER_INPUT]
     rise = (end - start) / count
@@ -146,9 +146,9 @@ def _advance(p, x, start, end):
 def bouc_wen_mechanical(p, x, u):
     """Return the displacement [m]: for a held input at the end of the sample, for a linear input at the time of ``u``.
 
-    A held ``u`` acts over the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. A linear input
-    goes from the last value to ``u``; the first call has no last value and returns the displacement at the start. NaN
-    changes nothing.
+    A held ``u`` acts during the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. A linear
+    input goes from its last value to ``u``; the first call has no last value and returns the displacement at the start.
+    NaN changes nothing.
     """
     if u != u:
         return x[DISPLACEMENT]
@@ -164,8 +164,8 @@ def bouc_wen_mechanical(p, x, u):
 class BoucWenOscillator(HysteresisBlock):
     """Mass on a linear and a hysteretic spring: force [N] or voltage [V] to displacement [m].
 
-    In an actuator it is used as a hysteresis without further dynamics. It depends on the rate, so only the inverse
-    ``none`` works with it. A change of parameters keeps position, velocity and force, so the output does not jump.
+    In an actuator, it is used as a hysteresis without further dynamics. It is rate dependent, so it works only with the
+    inverse ``none``. A change of parameters keeps position, velocity and force, so that the output does not jump.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ class BoucWenOscillator(HysteresisBlock):
     def response(self, u) -> np.ndarray:
         """Return the displacement, shape (N,), *at* the times of the inputs ``u``, shape (N,).
 
-        The first value is that of the present state, for a held and a linear input.
+        The first value is that of the present state, both for a held and for a linear input.
         """
         if self.parameters.intersample == "linear":
             return self.simulate(u)
@@ -216,17 +216,17 @@ class BoucWenOscillator(HysteresisBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain: static displacement per input at zero hysteretic force [m per input unit]."""
+        """Nominal gain: static displacement divided by the input, at zero hysteretic force [m per input unit]."""
         return float(self.p[FORCE_PER_INPUT] / (self.p[STIFFNESS] + self.p[ALPHA]))
 
 
 def _scaled(parameters: BoucWenMechanicalParameters, factor: float) -> BoucWenMechanicalParameters:
-    """Scale the displacement: mass, damping, stiffness and hysteretic force decrease by the factor."""
+    """Scale the displacement: divide mass, damping, stiffness and hysteretic force by the factor."""
     return times(parameters, 1.0 / factor, "mass", "damping", "stiffness", "alpha", "beta")
 
 
 def _deviated(parameters: BoucWenMechanicalParameters, deviation: Deviation) -> BoucWenMechanicalParameters:
-    """Draw a factor for each parameter; gain and loop width follow from them."""
+    """Apply a random factor to each parameter; gain and loop width follow from them."""
     names = ("mass", "damping", "stiffness", "alpha", "beta", "gamma", "delta")
     return replace(parameters, **{name: getattr(parameters, name) * deviation.factor() for name in names})
 

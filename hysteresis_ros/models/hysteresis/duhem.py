@@ -15,12 +15,12 @@ r"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and
 
 [1]_: rising dw/dv = α (f - w) + g, falling dw/dv = -α (f - w) + g. The functions f and g are small networks of tanh
 units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that their weights do not
-depend on units. Beyond the input range f is linear and g constant.
+depend on units. Beyond the input range, f is linear and g is constant.
 
 Along a monotone step the equation is linear in w. Each substep of length h is integrated as ``e^(-α h) w`` plus the
-integral of the shape functions times the exponential, by a three-point Gauss rule. With the substeps used the error is
-below 1e-9 of the output range. The inverse of W4 is the same equation with input and output exchanged, and with its own
-f and g.
+integral of the shape functions times the exponential, by a three-point Gauss rule. With the substeps that are used, the
+error is below 1e-9 of the output range. The inverse of W4 is the same equation with input and output exchanged, and
+with an f and a g of its own.
 
 References
 ----------
@@ -62,11 +62,11 @@ F_HALF = 5
 G_HALF = 6
 F_SLOPE_LOW = 7  # slopes of the normalised f below -1 and above +1
 F_SLOPE_HIGH = 8
-UNITS = 9  # number of units of each network, or of knots of each spline
+UNITS = 9  # number of units of each network, or number of knots of each spline
 NETWORK = 10  # 1: networks, 0: splines
 SHAPES = 11
 
-#: Longest substep, in 1/α and as a fraction of the input range.
+#: Longest substep: in units of 1/α, and as a fraction of the input range.
 SUBSTEP_ALPHA = 0.25
 SUBSTEP_RANGE = 1.0 / 64.0
 #: Maximum number of substeps of one step; only a step far outside the input range needs more.
@@ -79,7 +79,7 @@ _OUTER, _INNER = 5.0 / 18.0, 8.0 / 18.0
 
 @dataclass(frozen=True)
 class DuhemParameters(Parameters):
-    """Duhem equation with networks or splines; as inverse (W4) the input is the displacement."""
+    """Duhem equation with networks or splines; for the inverse (W4) the input is the displacement."""
 
     alpha: float = parameter(
         description="α: rate at which the output approaches the new branch", unit="1/V (1/m as inverse)", low=0.0
@@ -102,7 +102,7 @@ class DuhemParameters(Parameters):
 
     @property
     def shapes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Numbers of f and of g in the chosen representation."""
+        """Numbers that describe f and g in the chosen representation."""
         network = self.shape == "network"
         return (self.f_network, self.g_network) if network else (self.f_spline, self.g_spline)
 
@@ -112,7 +112,7 @@ class DuhemParameters(Parameters):
         return {"shape": self.shape, f"f_{self.shape}": len(self.shapes[0])}
 
     def check(self):
-        """Yield a Problem for each wrong range or size."""
+        """Yield a Problem for each range or size that is wrong."""
         for side in ("input", "output"):
             low, high = getattr(self, f"{side}_low"), getattr(self, f"{side}_high")
             if not low < high:
@@ -127,7 +127,7 @@ class DuhemParameters(Parameters):
             yield Problem(f"g_{self.shape}", g, f"must be as many numbers as {name}: {len(f)}")
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a warning when the output may move against the input after a reversal."""
+        """Return a warning if the output may move against the input after a reversal."""
         low, high = self.input_low, self.input_high
         v = np.linspace(low, high, 101)
         _, g = shape_functions(self, v)
@@ -136,7 +136,7 @@ class DuhemParameters(Parameters):
             return (
                 f"{prefix}g_{self.shape}: g is not above 0 everywhere in {low:g} … {high:g}; loops may not be monotone",
             )
-        # in a loop with a width of 10 % of the range the output is up to 5 % from the middle
+        # in a loop with a width of 10 % of the range, the output is up to 5 % away from the middle
         if swing * 0.05 > g.min():
             return (
                 f"{prefix}alpha = {self.alpha:.4g}: α times 5 % of the output range exceeds "
@@ -147,14 +147,14 @@ class DuhemParameters(Parameters):
 
 
 def spline_slopes(values) -> np.ndarray:
-    """Return the slopes, shape (n,), per knot distance of the not-a-knot cubic spline through equidistant values."""
+    """Return the slopes, shape (n,), for a knot distance of 1, of the not-a-knot spline through equidistant values."""
     y = np.asarray(values, dtype=float)
     n = len(y)
     matrix, right = np.zeros((n, n)), np.zeros(n)
     for i in range(1, n - 1):
         matrix[i, i - 1 : i + 2] = (1.0, 4.0, 1.0)
         right[i] = 3.0 * (y[i + 1] - y[i - 1])
-    # equal third derivatives on both sides of the second and of the last but one knot
+    # not-a-knot: the third derivative is continuous at the second knot and at the last but one
     matrix[0, :3], right[0] = (1.0, 0.0, -1.0), 2.0 * (2.0 * y[1] - y[0] - y[2])
     matrix[-1, -3:], right[-1] = (1.0, 0.0, -1.0), 2.0 * (2.0 * y[-2] - y[-3] - y[-1])
     return solve(matrix, right)
@@ -181,7 +181,7 @@ def _spline(p, first, knots, v):
 
 @kernel
 def duhem_f(p, v):
-    """Shape function f [output unit] at the input ``v``."""
+    """Return the shape function f [output unit] at the input ``v``."""
     normalised = (v - p[INPUT_MIDDLE]) / p[INPUT_HALF]
     inside = max(-1.0, min(1.0, normalised))
     units = int(p[UNITS])
@@ -194,7 +194,7 @@ def duhem_f(p, v):
 
 @kernel
 def duhem_g(p, v):
-    """Shape function g [output unit per input unit] at the input ``v``."""
+    """Return the shape function g [output unit per input unit] at the input ``v``."""
     inside = max(-1.0, min(1.0, (v - p[INPUT_MIDDLE]) / p[INPUT_HALF]))
     units = int(p[UNITS])
     if p[NETWORK] != 0.0:
@@ -204,7 +204,7 @@ def duhem_g(p, v):
 
 @kernel
 def _sweep(p, w, start, end):
-    """Return the output at ``end`` after a monotone input from ``start``, where the output was ``w``."""
+    """Return the output at ``end`` for a monotone input that starts at ``start``, where the output is ``w``."""
     distance = abs(end - start)
     direction = 1.0 if end > start else -1.0
     alpha = p[ALPHA]
@@ -228,11 +228,11 @@ def _sweep(p, w, start, end):
 
 @kernel
 def duhem(p, x, u):
-    """Output after the input has moved monotonically to ``u`` (W3); NaN changes nothing."""
+    """Return the output after a monotone change of the input to ``u`` (W3); NaN changes nothing."""
     start = x[VOLTAGE]
     if not abs(u - start) > 0.0:
         return x[DISPLACEMENT]
-    # f and g have kinks at the ends of the input range: no substep spans them
+    # f and g have kinks at the ends of the input range, so no substep spans an end
     direction = 1.0 if u > start else -1.0
     w = x[DISPLACEMENT]
     for side in (-direction, direction):
@@ -248,10 +248,10 @@ def duhem(p, x, u):
 
 @kernel
 def inverse_duhem(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] of ``dv = α |dw| [F(w) - v] + G(w) dw`` after w has moved to ``displacement`` [m] (W4).
+    """Return the voltage [V] of ``dv = α |dw| [F(w) - v] + G(w) dw`` after w has moved to ``displacement`` [m] (W4).
 
-    Unlike the other inverses it does not use a model's state: ``x_i`` stores its own last displacement and voltage. A
-    repeated call with the same displacement gives the same voltage.
+    Unlike the other inverses, it does not use the state of a model: ``x_i`` contains its own last displacement and
+    voltage. A repeated call with the same displacement gives the same voltage.
 
     Parameters
     ----------
@@ -299,17 +299,17 @@ def pack_duhem(parameters: DuhemParameters) -> np.ndarray:
 
 
 def shape_functions(parameters: DuhemParameters, v) -> tuple[np.ndarray, np.ndarray]:
-    """Return f and g, in the units of the model, at the inputs ``v``; all three arrays have the shape (N,)."""
+    """Return f and g at the inputs ``v``, in the units of the model; all three arrays have the shape (N,)."""
     p = pack_duhem(parameters)
     v = np.asarray(v, dtype=float).tolist()
     return np.array([duhem_f(p, value) for value in v]), np.array([duhem_g(p, value) for value in v])
 
 
 class DuhemHysteresis(RateIndependentBlock):
-    """Duhem hysteresis: voltage [V] to displacement [m] — or, as inverse of W4, displacement to voltage.
+    """Duhem hysteresis: voltage [V] to displacement [m] or, as the inverse of W4, displacement to voltage.
 
-    Its only memory is the output: it has no return-point memory, and a retune needs no adjustment. It has no
-    closed-form inverse; ``general`` is exact to rounding, ``duhem`` is the inverse of the paper.
+    Its only memory is the output, so it has no return-point memory, and needs no adjustment after a retune. It has no
+    closed-form inverse; ``general`` is exact to rounding, and ``duhem`` is the inverse of the paper.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ class DuhemHysteresis(RateIndependentBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain [m/V]: output range over input range."""
+        """Nominal gain [m/V]: output range divided by input range."""
         return float(self.p[F_HALF] / self.p[INPUT_HALF])
 
 

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Generalised, rate-dependent play operators: rising and falling envelopes, thresholds that grow with the speed.
+r"""Generalised, rate-dependent play operators: rising and falling envelopes, and thresholds that grow with the speed.
 
-A generalised play follows two curves instead of one line [1]_; rate-dependent ones widen with the speed of the voltage
-[2]_:
+A generalised play follows two curves instead of one line [1]_; a rate-dependent play becomes wider with the speed of
+the voltage [2]_:
 
 .. math::
 
@@ -20,17 +20,17 @@ A generalised play follows two curves instead of one line [1]_; rate-dependent o
 
    x = s V + \sum_i w_i z_i + x_0
 
-with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0 it is the classical Prandtl-Ishlinskii model.
+with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0, this is the classical Prandtl-Ishlinskii model.
 
 The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2``, where ν runs from -1 to 1 over the
-range and h is half its width. Outside the range γ = V. The speed is the average over ``memory`` of the steps *before*
-the present one, so the thresholds are known before a step: first they change at the held voltage, then the voltage
-moves, as in a rate-independent model. Because all thresholds grow by the same amount, the corners are in the order of
-the radii, and the inverse is a closed form, exact at every sample. While all plays move, the inverse is stable if the
-averaged thresholds grow by at most half a volt per volt of a step: rate ≤ memory/2. After a reversal only the slope
-responds to the voltage, while shrinking thresholds still push all plays. This amplifies an error by Σ w_i / slope. On
-6000 voltages with random reversals the error stayed at the level of rounding for Σ w_i / slope up to 1.5; at 2.6 some
-errors grew to 3e-5 V.
+range and h is half its width. Outside the range γ = V. The speed is averaged over the time ``memory`` from the steps
+*before* the present one, so that the thresholds are known before a step. In a step, the thresholds first change at the
+held voltage; then the voltage moves, as in a rate-independent model. All thresholds grow by the same amount. Therefore
+the corners are in the order of the radii, and the inverse is a closed form that is exact at every sample. While all
+plays move, the inverse is stable if the averaged thresholds grow by at most half a volt for each volt of a step, that
+is, if rate ≤ memory/2. After a reversal, only the slope responds to the voltage, while the shrinking thresholds still
+push all plays. This amplifies an error by Σ w_i / slope. With 6000 voltages and random reversals, the error stayed at
+the level of rounding for Σ w_i / slope up to 1.5; at 2.6 some errors grew to 3e-5 V.
 
 References
 ----------
@@ -67,7 +67,7 @@ from hysteresis_ros.models.linear_algebra import product
 PLAYS = 0
 SLOPE = 1
 OFFSET = 2
-RATE = 3  # V of threshold per V/s
+RATE = 3  # growth of the thresholds [V] for a speed of 1 V/s
 SHARE = 4  # weight of the present step in the averaged speed
 PER_STEP = 5  # 1/sample time [1/s]
 CENTRE = 6  # centre of the envelopes [V]
@@ -76,15 +76,15 @@ RISING = 8  # bends
 FALLING = 9
 RADII = 10
 
-# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
+# Layout of x, after VOLTAGE and DISPLACEMENT; the plays follow.
 RESIDUE = 2  # remaining offset after a retune [m]
 SPEED = 3  # averaged speed of the voltage [V/s]
 PLAY = 4
 
 #: Largest bend of an envelope; its slope then stays above 0.1.
 LARGEST_BEND = 0.9
-#: Largest ratio κ of ``rate`` [s] to ``memory`` [s], the averaging time of the speed. An error δ of the inverse's
-#: voltage returns as κ (δ_k-1 - δ_k-2), which decays for κ < 0.5.
+#: Largest ratio κ of ``rate`` [s] to ``memory`` [s], the averaging time of the speed. Errors δ of the inverse's
+#: voltage in the last two samples cause the error κ (δ_k-1 - δ_k-2) in sample k; errors decay for κ < 0.5.
 LARGEST_RATE = 0.5
 #: Largest ratio of the sum of the weights to the slope at which the inverse of rate-dependent plays does not amplify
 #: rounding errors (found by trial).
@@ -121,7 +121,7 @@ class GeneralisedPlayParameters(Parameters):
         return {"radii": len(self.radii)}
 
     def check(self):
-        """Yield a Problem for wrong sizes, radii that do not rise, and envelopes that cross."""
+        """Yield a Problem for wrong sizes, radii that do not increase, or envelopes that cross."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem(
                 "weights", self.weights, f"must be as many numbers as radii ({len(self.radii)}), at least one"
@@ -143,7 +143,7 @@ class GeneralisedPlayParameters(Parameters):
             yield Problem("falling_bend", self.falling_bend, remedy)
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a warning when the inverse may amplify errors."""
+        """Return a warning if the inverse may amplify errors."""
         part = sum(self.weights) / self.slope
         if not self.rate or part <= LARGEST_PART:
             return ()
@@ -157,7 +157,7 @@ class GeneralisedPlayParameters(Parameters):
 
 @kernel
 def envelope(p, bend, voltage):
-    """Envelope γ [V] at a voltage [V]."""
+    """Return the envelope γ [V] at a voltage [V]."""
     place = (voltage - p[CENTRE]) / p[HALF]
     if abs(place) >= 1.0:
         return voltage
@@ -166,11 +166,11 @@ def envelope(p, bend, voltage):
 
 @kernel
 def envelope_inverse(p, bend, slope, weight, wanted):
-    """Return the voltage V at which ``slope V + weight γ(V)`` is ``wanted``, for factors ≥ 0 with a sum > 0."""
+    """Return the voltage V at which ``slope V + weight γ(V)`` is ``wanted``; the factors are ≥ 0, their sum > 0."""
     both = slope + weight
     if abs(wanted - both * p[CENTRE]) >= both * p[HALF]:
         return wanted / both
-    # A ν² + B ν + C = 0 with B > 0: the root at which the parabola rises
+    # A ν² + B ν + C = 0 with B > 0; the root on the rising side of the parabola is needed
     a, b = 0.5 * weight * bend * p[HALF], both * p[HALF]
     c = both * p[CENTRE] - a - wanted
     return p[CENTRE] - p[HALF] * 2.0 * c / (b + np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
@@ -178,7 +178,7 @@ def envelope_inverse(p, bend, slope, weight, wanted):
 
 @kernel
 def generalised_play(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
+    """Return the displacement [m] after a monotone change of the voltage to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) >= 0.0:
         return x[DISPLACEMENT]
     plays = int(p[PLAYS])
@@ -201,7 +201,7 @@ def generalised_play(p, x, u):
 
 @composite("void", "array", "array", "array", "table")
 def follow_plays(p, x, voltage, outputs):
-    """Fill row k of ``outputs`` [V] with the outputs of the plays at ``voltage[k]`` [V]."""
+    """Write the outputs of the plays [V] at ``voltage[k]`` [V] to row k of ``outputs``, for every k."""
     for k in range(voltage.shape[0]):
         generalised_play(p, x, voltage[k])
         for i in range(outputs.shape[1]):
@@ -210,16 +210,18 @@ def follow_plays(p, x, voltage, outputs):
 
 @kernel
 def generalised_play_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; NaN gives the last voltage.
+    """Return the voltage [V] for the next output ``displacement`` [m], in closed form; for NaN, the last voltage.
 
-    ``p_h`` and ``x_h`` are those of :func:`generalised_play`; ``x_h`` is not changed. The other arguments are not used.
+    ``p_h`` and ``x_h`` are the arrays of :func:`generalised_play`; ``x_h`` is not changed. The other arguments are
+    unused.
     """
     voltage = x_h[VOLTAGE]
     wanted = displacement - (p_h[OFFSET] + x_h[RESIDUE])
     plays = int(p_h[PLAYS])
     growth = p_h[RATE] * x_h[SPEED]
     lower, upper = envelope(p_h, p_h[RISING], voltage), envelope(p_h, p_h[FALLING], voltage)
-    # first the output at the last voltage with the changed thresholds; then that at V: slope V + moving γ(V) + constant
+    # first the output at the last voltage with the changed thresholds; then the output at V: slope V + moving γ(V) +
+    # constant
     constant = 0.0
     for i in range(plays):
         radius = p_h[RADII + i] + growth
@@ -266,7 +268,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
         return np.concatenate([head, shape, bends, parameters.radii, parameters.weights])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (4 + plays,): at rest at 0 V, every play between its envelopes."""
+        """Return x, shape (4 + plays,): at rest at 0 V, with every play between its envelopes."""
         x = np.zeros(PLAY + len(self.parameters.radii))
         middle = 0.5 * (envelope(self.p, self.p[RISING], 0.0) + envelope(self.p, self.p[FALLING], 0.0))
         x[PLAY:] = middle
@@ -286,12 +288,12 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain [m/V]: slope with every play moving, in the middle of the envelopes."""
+        """Nominal gain [m/V]: slope in the middle of the envelopes while every play moves."""
         plays = int(self.p[PLAYS])
         return float(self.p[SLOPE] + product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Keep the output when parameters change; the difference remains as a constant until :meth:`reset`."""
+        """Keep the output when parameters change; the difference stays as a constant until :meth:`reset`."""
         self.x[RESIDUE] = 0.0
         self.x[RESIDUE] = self.x[DISPLACEMENT] - self._sum(self.x)
 
@@ -315,7 +317,7 @@ def _weighted(parameters: GeneralisedPlayParameters, factors) -> GeneralisedPlay
 
 
 def _deviated(parameters: GeneralisedPlayParameters, deviation: Deviation) -> GeneralisedPlayParameters:
-    """Draw a factor for each play, in addition to the factor of the loop width."""
+    """Apply a random factor to each play, in addition to the factor on the loop width."""
     factors = deviation.gain * deviation.opening * deviation.factor(len(parameters.weights))
     weights = np.array(parameters.weights) * factors
     return replace(times(parameters, deviation.gain, "slope"), weights=tuple(weights.tolist()))

@@ -18,21 +18,21 @@ Three families of parabolas: the virgin curve ``x_v(V)``, rising branches ``x_r(
 
 The coefficients of the branches are quadratic polynomials of ``V_max``, the largest peak so far (fig. 5).
 
-The branches of the paper jump at reversals unless the fit enforces the corners, and the paper does not describe minor
-loops. This rule is continuous at every reversal for any coefficients:
+The branches of the paper jump at reversals, unless the fit enforces the corners, and the paper does not describe minor
+loops. The following rule is continuous at every reversal, for any coefficients:
 
 * ``V_max`` starts at 0. At a reversal from rising to falling with a larger peak, ``V_max`` becomes this peak and the
-  lower end ``V_lo`` becomes 0. From then on ``V_lo`` is the lowest voltage of a reversal from falling to rising, if
-  that is below 0.
+  lower end ``V_lo`` becomes 0. From then on, ``V_lo`` is the lowest voltage at which the input has reversed from
+  falling to rising, if this is below 0.
 * Rising from a turning point ``(V_t, x_t)`` the output is
   ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to the
   upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
-* Falling from ``(V_t, x_t)`` it is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower corner
-  ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (a stack at
-  rest is first driven negative) cannot blend: its difference from ``x_f`` stays until V_max grows.
+* Falling from ``(V_t, x_t)`` the output is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower
+  corner ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (a
+  stack at rest is first driven negative) cannot be blended: its difference from ``x_f`` stays until V_max grows.
 
 Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores only these
-two corners, not the corners of minor loops.
+two corners, and not the corners of minor loops.
 
 References
 ----------
@@ -61,12 +61,12 @@ from hysteresis_ros.models.declaration import (
     times,
 )
 
-#: Peak of the smallest loop whose branches are checked for monotonicity, as a fraction of the range (the smallest loop
-#: of K2 reaches 6 V of 120 V).
+#: Peak of the smallest loop whose branches are checked for monotonicity, as a fraction of the range. (The smallest loop
+#: of K2 reaches 6 V of 120 V.)
 SMALLEST_LOOP = 0.05
 CHECKED_LOOPS = 39
 
-#: Names of the branch coefficients, each three numbers.
+#: Names of the branch coefficients; each has three numbers.
 BRANCHES = ("rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
 
 
@@ -98,7 +98,7 @@ class PolynomialParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem for a wrong number of coefficients, an empty range, and branches that are not monotone."""
+        """Yield a Problem for a wrong number of coefficients, an empty range, or branches that are not monotone."""
         counted = True
         for name in ("virgin", *BRANCHES):
             value = getattr(self, name)
@@ -113,8 +113,8 @@ class PolynomialParameters(Parameters):
     def _monotony(self):
         """Yield a Problem for each family of curves that is not monotone.
 
-        The branches are checked between the corners, as the kernel blends them. A slope is linear in V, so its two ends
-        suffice.
+        The branches are checked between the corners, as the kernel blends them. The slope is linear in V, so it is
+        checked only at both ends.
         """
         low, high = self.voltage_low, self.voltage_high
         _, c1, c2 = self.virgin
@@ -157,7 +157,7 @@ def assumed_stack(
     voltage_high: float = 120.0,
     scale: float = 1.0,
 ) -> PolynomialParameters:
-    """Return a stack whose loops have given corners and width.
+    """Return the parameters of a stack whose loops have the given corners and width.
 
         This is the assumption K7a: the text of the paper does not contain the numbers of its figure 4.
 
@@ -192,7 +192,7 @@ def assumed_stack(
     )
 
 
-# Layout of p: every branch coefficient is three numbers, of 1, V_max and V_max².
+# Layout of p: every branch coefficient has three numbers, for 1, V_max and V_max².
 VIRGIN = 0
 RISING_D = 3
 RISING_C1 = 6
@@ -209,8 +209,8 @@ TURN_DISPLACEMENT = 4
 V_MAX = 5
 V_LOW = 6
 ON_VIRGIN = 7
-LOWER_OFFSET = 8  # offset of x_f at and below V_lo if a falling branch has started at V_lo
-VIRGIN_OFFSET = 9  # offset of the virgin curve at VIRGIN_FROM after a retune; fades out up to VOLTAGE_HIGH
+LOWER_OFFSET = 8  # offset of x_f at and below V_lo, if a falling branch has started at V_lo
+VIRGIN_OFFSET = 9  # offset of the virgin curve at VIRGIN_FROM after a retune; it fades out up to VOLTAGE_HIGH
 VIRGIN_FROM = 10
 STATES = 11
 
@@ -222,7 +222,7 @@ def _coefficient(p, index, v_max):
 
 @kernel
 def virgin_curve(p, x, voltage):
-    """Virgin curve [m] at ``voltage`` [V], with the offset of :meth:`PolynomialHysteresis.rebase`."""
+    """Return the virgin curve [m] at ``voltage`` [V], with the offset of :meth:`PolynomialHysteresis.rebase`."""
     y = p[VIRGIN] + voltage * (p[VIRGIN + 1] + voltage * p[VIRGIN + 2])
     offset = x[VIRGIN_OFFSET]
     if offset != 0.0:
@@ -236,14 +236,14 @@ def virgin_curve(p, x, voltage):
 
 @kernel
 def rising_curve(p, v_max, voltage):
-    """Rising branch x_r [m] of the loop to ``v_max`` at ``voltage`` [V] (eq. 1)."""
+    """Return the rising branch x_r [m] of the loop to ``v_max`` at ``voltage`` [V] (eq. 1)."""
     c2 = _coefficient(p, RISING_C2, v_max)
     return _coefficient(p, RISING_D, v_max) + voltage * (_coefficient(p, RISING_C1, v_max) + voltage * c2)
 
 
 @kernel
 def falling_curve(p, v_max, voltage):
-    """Falling branch x_f [m] of the loop to ``v_max`` at ``voltage`` [V] (eq. 2)."""
+    """Return the falling branch x_f [m] of the loop to ``v_max`` at ``voltage`` [V] (eq. 2)."""
     c2 = _coefficient(p, FALLING_C2, v_max)
     return _coefficient(p, FALLING_D, v_max) + voltage * (_coefficient(p, FALLING_C1, v_max) + voltage * c2)
 
@@ -274,7 +274,7 @@ def _turn_down(p, x):
 
 @kernel
 def polynomial(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
+    """Return the displacement [m] after a monotone change of the voltage to ``u`` [V]; NaN changes nothing."""
     if u > x[VOLTAGE]:
         if x[DIRECTION] < 0.0:
             _turn_up(x)
@@ -309,8 +309,8 @@ def polynomial(p, x, u):
 def _root(rise, slope, bend):
     """Solve ``rise = slope v + bend v²`` for v on the rising side of the parabola.
 
-    Beyond the range of the parabola the result is its extremum. K8's form ``2 rise / (slope + √(slope² + 4 bend
-    rise))`` loses no digits while slope ≥ 0.
+    Beyond the range of the parabola, the result is at the parabola's extremum. The form of K8, ``2 rise / (slope +
+    √(slope² + 4 bend rise))``, loses no digits for slope ≥ 0.
     """
     discriminant = slope * slope + 4.0 * bend * rise
     if discriminant <= 0.0:
@@ -336,11 +336,11 @@ def _virgin_voltage(p, x, displacement):
 
 @kernel
 def polynomial_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m] (K8, exact branch inverse).
+    """Return the voltage [V] at which the model's next output is ``displacement`` [m] (K8, exact branch inverse).
 
-    ``p_h`` and ``x_h`` are those of :func:`polynomial`; ``x_h`` is not changed. For NaN the voltage is the last one;
-    beyond the range of a parabola it is that of its extremum. ``x_i``, shape (≥ 11,), is scratch; ``hysteresis`` and
-    ``p_i`` are not used, because the branches are inverted in closed form.
+    ``p_h`` and ``x_h`` are the arrays of :func:`polynomial`; ``x_h`` is not changed. For NaN, the result is the last
+    voltage; beyond the range of a parabola, it is the voltage of the parabola's extremum. ``x_i``, shape (≥ 11,), is
+    scratch. ``hysteresis`` and ``p_i`` are not used, because the branches are inverted in closed form.
     """
     x = x_i
     for i in range(STATES):
@@ -407,10 +407,10 @@ class PolynomialHysteresis(RateIndependentBlock):
         return float(self.p[VIRGIN + 1] + self.p[VIRGIN + 2] * self.p[VOLTAGE_HIGH])
 
     def rebase(self) -> None:
-        """Make the present point a turning point, so that changed coefficients do not change the output.
+        """Make the present point a turning point, so that a change of the coefficients does not change the output.
 
-        From there the output blends into the new corners by the minor-loop rule; on the virgin curve the difference
-        fades out linearly up to ``voltage_high``.
+        From this point, the output blends into the new corners by the minor-loop rule. On the virgin curve, the
+        difference fades out linearly up to ``voltage_high``.
         """
         x, p = self.x, self.p
         voltage, displacement = x[VOLTAGE], x[DISPLACEMENT]

@@ -9,8 +9,8 @@
 
 r"""Prandtl-Ishlinskii hysteresis, classical and modified, with its analytic inverse [1]_.
 
-A sum of play (backlash) operators has symmetric loops; dead zones after it (the *modified* model) bend both branches
-equally:
+A sum of play (backlash) operators has symmetric loops. Dead zones after the sum (the *modified* model) bend both
+branches in the same way:
 
 .. math::
 
@@ -20,8 +20,8 @@ equally:
 
    x = x_0 + u + \sum_j s_j \, d(u, t_j), \qquad d(u, t) = \max(u - t, 0) \; (t \geq 0), \quad \min(u - t, 0) \; (t < 0)
 
-The inverse needs no operators of its own: the dead zones are inverted piece by piece, and along a monotone step the sum
-of plays is a piecewise linear function of V, with corners ``z_i ± r_i`` in the order of the radii.
+The inverse needs no operators of its own. The dead zones are inverted piece by piece. Along a monotone step, the sum of
+plays is a piecewise linear function of V, with corners ``z_i ± r_i`` in the order of the radii.
 
 References
 ----------
@@ -51,15 +51,15 @@ from hysteresis_ros.models.declaration import (
 )
 from hysteresis_ros.models.linear_algebra import product
 
-# Layout of p, followed by radii and weights of the plays, then by thresholds and weights of the dead zones: first
-# those above zero in rising order, then those below in falling order.
+# Layout of p; then follow radii and weights of the plays, then thresholds and weights of the dead zones: first those
+# above zero in increasing order, then those below zero in decreasing order.
 PLAYS = 0
 ABOVE = 1
 BELOW = 2
 OFFSET = 3
 RADII = 4
 
-# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
+# Layout of x, after VOLTAGE and DISPLACEMENT; the plays follow.
 RESIDUE = 2  # remaining offset after a retune [m]
 PLAY = 3
 
@@ -85,7 +85,7 @@ class PrandtlIshlinskiiParameters(Parameters):
         return {"radii": len(self.radii), "thresholds": len(self.thresholds), "thresholds below 0": below}
 
     def check(self):
-        """Yield a Problem for wrong sizes, radii that do not rise, and branches that are not monotone."""
+        """Yield a Problem for wrong sizes, radii that do not increase, or branches that are not monotone."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem(
                 "weights", self.weights, f"must be as many numbers as radii ({len(self.radii)}), at least one"
@@ -110,7 +110,7 @@ class PrandtlIshlinskiiParameters(Parameters):
 
 
 def _zones(parameters):
-    """Return (threshold, weight) of the dead zones above zero, then below, outwards."""
+    """Return (threshold, weight) of the dead zones in two lists, above and below zero, each outwards from zero."""
     zones = sorted(zip(parameters.thresholds, parameters.zone_weights, strict=True))
     return [zone for zone in zones if zone[0] >= 0.0], [zone for zone in zones if zone[0] < 0.0][::-1]
 
@@ -133,7 +133,7 @@ def dead_zones(p, x):
 
 @kernel
 def dead_zones_inverse(p, y):
-    """Return the x at which :func:`dead_zones` is ``y``, piece by piece from zero outwards."""
+    """Return the x at which :func:`dead_zones` is ``y``; the pieces are inverted from zero outwards."""
     first = RADII + 2 * int(p[PLAYS])
     count = int(p[ABOVE])
     sign = 1.0
@@ -154,7 +154,7 @@ def dead_zones_inverse(p, y):
 
 @kernel
 def prandtl_ishlinskii(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
+    """Return the displacement [m] after a monotone change of the voltage to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) > 0.0:
         return x[DISPLACEMENT]
     plays = int(p[PLAYS])
@@ -171,10 +171,10 @@ def prandtl_ishlinskii(p, x, u):
 
 @kernel
 def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; NaN gives the last voltage.
+    """Return the voltage [V] for the next output ``displacement`` [m], in closed form; for NaN, the last voltage.
 
-    ``p_h`` and ``x_h`` are those of :func:`prandtl_ishlinskii`; ``x_h`` is not changed. The other arguments are not
-    used.
+    ``p_h`` and ``x_h`` are the arrays of :func:`prandtl_ishlinskii`; ``x_h`` is not changed. The other arguments are
+    not used.
     """
     voltage = x_h[VOLTAGE]
     if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:
@@ -223,14 +223,14 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
         return np.concatenate([head, parameters.radii, parameters.weights, *zones])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (3 + plays,): 0 V, every play in the middle of its range."""
+        """Return x, shape (3 + plays,): 0 V, with every play in the middle of its range."""
         x = np.zeros(PLAY + len(self.parameters.radii))
         x[DISPLACEMENT] = self.parameters.offset
         return x
 
     @property
     def terms(self) -> LinearTerms:
-        """The weights of the plays, followed by the dead zones."""
+        """The weights of the plays; the dead zones follow the sum."""
         plays, above, below = (int(self.p[place]) for place in (PLAYS, ABOVE, BELOW))
         first = RADII + 2 * plays
         second = first + 2 * above
@@ -246,14 +246,14 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain [m/V]: slope with every play moving, without dead zones."""
+        """Nominal gain [m/V]: slope while every play moves, without dead zones."""
         plays = int(self.p[PLAYS])
         return float(product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Move the plays, each by the same fraction of its free range, to compensate the change of the output.
+        """Move each play by the same fraction of its free range, in order to compensate a change of the output.
 
-        This keeps their order. The part that the plays cannot compensate remains as a constant until :meth:`reset`.
+        This keeps the order of the plays. The part that they cannot compensate stays as a constant until :meth:`reset`.
         """
         x, p, plays = self.x, self.p, int(self.p[PLAYS])
         voltage, z = x[VOLTAGE], x[PLAY:]
@@ -285,7 +285,7 @@ def _weighted(parameters: PrandtlIshlinskiiParameters, factors) -> PrandtlIshlin
 
 
 def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> PrandtlIshlinskiiParameters:
-    """Draw a factor for each play with a radius above 0, in addition to the factor of the loop width."""
+    """Apply a random factor to each play with a radius above 0, in addition to the factor on the loop width."""
     weights = np.array(parameters.weights) * deviation.gain
     plays = np.array(parameters.radii) > 0.0
     weights[plays] *= deviation.opening * deviation.factor(int(np.sum(plays)))

@@ -15,9 +15,9 @@ r"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded
 
 with the stored maxima v and minima m, offset x_0 and reversible slope s. The Everett function ``E(a, b)`` is the change
 of the output when the input, coming from below, reverses at ``a`` and falls to ``b``. For any history, a rise from a
-minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v subtracts ``E(M, v)`` (congruency); a closed loop is
-removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid; between them it is
-interpolated bilinearly, and linearly in the triangles at the diagonal.
+minimum m to v adds ``E(v, m)``, and a fall from a maximum M to v subtracts ``E(M, v)`` (congruency). When a loop
+closes, it is removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid; between the
+nodes, E is interpolated bilinearly, and in the triangles at the diagonal linearly.
 
 Outside the range of the grid the memory does not change; the output continues along the end of the major loop.
 """
@@ -54,11 +54,11 @@ SLOPE_BELOW = 7  # slopes outside the grid [m/V]
 SLOPE_ABOVE = 8
 TABLE = 9
 
-# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the voltages of the turning points (minimum, maximum, minimum
-# …; the first is the lower end of the range) and by the hysteretic outputs at them.
+# Layout of x, after VOLTAGE and DISPLACEMENT; then follow the voltages of the turning points (minimum, maximum, minimum
+# …; the first one is the lower end of the range) and the hysteretic outputs at these points.
 DEPTH = 2  # number of turning points
-RESIDUE = 3  # offset [m] after a retune or a removed loop; fades out while the voltage travels by RESIDUE_LEFT
-RESIDUE_LEFT = 4  # remaining travel of the voltage [V], after which the offset is zero
+RESIDUE = 3  # offset [m] after a retune or a removed loop; it fades out while the voltage travels by RESIDUE_LEFT
+RESIDUE_LEFT = 4  # remaining travel of the voltage [V] until the offset is zero
 RESIDUE_TRAVEL = 5
 STACK = 6
 
@@ -95,7 +95,7 @@ class PreisachParameters(Parameters):
         return table
 
     def check(self):
-        """Yield a Problem for a wrong range or size, a nonzero diagonal, and branches that are not monotone."""
+        """Yield a Problem for a wrong range or size, a nonzero diagonal, or branches that are not monotone."""
         if not self.voltage_low <= 0.0 < self.voltage_high:
             remedy = (
                 "voltage_low … voltage_high must contain 0 V, at which the model starts; voltage_low = "
@@ -124,7 +124,7 @@ class PreisachParameters(Parameters):
 
 @kernel
 def everett(p, a, b):
-    """Everett function [m] for a maximum ``a`` and a minimum ``b`` within the grid [V]."""
+    """Return the Everett function [m] for a maximum ``a`` and a minimum ``b`` [V] within the grid."""
     if a <= b:
         return 0.0
     spacing = p[SPACING]
@@ -165,7 +165,7 @@ def _inside(p, voltage):
 
 @kernel
 def _on_branch(p, x, v):
-    """Hysteretic output [m] on the branch from the last turning point to ``v``."""
+    """Return the hysteretic output [m] on the branch from the last turning point to ``v``."""
     top = int(x[DEPTH]) - 1
     turn, output = x[STACK + top], x[STACK + int(p[CAPACITY]) + top]
     if top % 2 == 0:
@@ -191,7 +191,7 @@ def _turn(p, x, v):
 
 @kernel
 def preisach(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
+    """Return the displacement [m] after a monotone change of the voltage to ``u`` [V]; NaN changes nothing."""
     distance = abs(u - x[VOLTAGE])
     if not distance > 0.0:
         return x[DISPLACEMENT]
@@ -199,7 +199,7 @@ def preisach(p, x, u):
     if v > before:
         if int(x[DEPTH]) % 2 == 0:  # the last turning point is a maximum: this is a reversal
             _turn(p, x, before)
-        # wiping-out: beyond the last maximum, this maximum and the minimum after it are removed
+        # wiping-out: if v exceeds the last maximum, this maximum and the minimum after it are removed
         while x[DEPTH] >= 3.0 and v >= x[STACK + int(x[DEPTH]) - 2]:
             x[DEPTH] -= 2.0
     elif v < before:
@@ -225,7 +225,7 @@ def everett_of(block, voltage_low: float, voltage_high: float, nodes: int) -> np
     Parameters
     ----------
     block : Block
-        Model or plant without dynamics; it is reset before each curve.
+        Model, or plant without dynamics; it is reset before each curve.
     voltage_low, voltage_high : float
         Range [V].
     nodes : int
@@ -249,7 +249,7 @@ def everett_of(block, voltage_low: float, voltage_high: float, nodes: int) -> np
 class PreisachHysteresis(RateIndependentBlock):
     """Preisach hysteresis: voltage [V] to displacement [m].
 
-    It starts at 0 V on the rising branch from negative saturation.
+    The model starts at 0 V, on the rising branch from negative saturation.
 
     The inverse ``general`` is exact to rounding.
 
@@ -283,14 +283,14 @@ class PreisachHysteresis(RateIndependentBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain [m/V]: height of the major loop over its width."""
+        """Nominal gain [m/V]: height of the major loop divided by its width."""
         p = self.p
         return float(p[SLOPE] + everett(p, p[HIGH], p[LOW]) / (p[HIGH] - p[LOW]))
 
     def rebase(self) -> None:
         """Apply the changed map to the stored turning points; the jump of the output fades out.
 
-        It becomes zero, linearly, while the voltage travels by the length of the range.
+        The jump becomes zero, linearly, while the voltage travels by the length of the range.
         """
         x, p, capacity = self.x, self.p, int(self.p[CAPACITY])
         depth, output = int(x[DEPTH]), x[DISPLACEMENT]
@@ -322,7 +322,7 @@ def _deviated(parameters: PreisachParameters, deviation: Deviation) -> PreisachP
 
 
 def _example(low: float = -40.0, high: float = 120.0, nodes: int = 9) -> PreisachParameters:
-    """Return an example by Rayleigh's law: constant density, E(a, b) = c (a - b)²; displacement 0 at rest at 0 V."""
+    """Return an example with Rayleigh's law: constant density, E(a, b) = c (a - b)²; displacement 0 at rest at 0 V."""
     spacing, slope, density = (high - low) / (nodes - 1), 70e-9, 0.15e-9
     everett = tuple(density * ((i - j) * spacing) ** 2 for i in range(nodes) for j in range(i + 1))
     offset = slope * low - density * low**2

@@ -13,8 +13,8 @@ r"""An actuator without hysteresis: displacement proportional to the voltage.
 
    x = g V
 
-The model has no memory that could keep the output at a change of parameters; the compensator keeps the voltage from
-jumping instead (``handover_time``).
+The model has no memory that could keep the output when parameters change. Instead, the compensator prevents a jump of
+the voltage (``handover_time``).
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ class ProportionalParameters(Parameters):
 
 @kernel
 def proportional(p, x, u):
-    """Displacement [m] at voltage ``u`` [V]."""
+    """Return the displacement [m] at the voltage ``u`` [V]."""
     x[OUTPUT] = p[GAIN] * u
     return x[OUTPUT]
 
 
 @kernel
 def proportional_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] of :func:`proportional` for ``displacement`` [m]; only the gain ``p_h[0]`` is used."""
+    """Return the voltage [V] of :func:`proportional` for ``displacement`` [m]; only the gain ``p_h[0]`` is used."""
     return displacement / p_h[GAIN]
 
 
