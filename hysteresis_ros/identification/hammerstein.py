@@ -433,7 +433,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters form a valid model; if there are none, raise the error of the first fit."""
+    """Return the fits whose parameters form a valid model; without such fits, raise the error of the first one."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])
