@@ -45,7 +45,9 @@ def _is_there() -> bool:
 def _without_ros(processes, *words: str):
     """Run a command in a process that cannot start another one, and therefore can only use the session."""
     code = (
-        "import subprocess, sys\n"
+        "import signal, subprocess, sys\n"
+        # a background job of a shell ignores SIGINT, and so would its processes
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "subprocess.run = subprocess.Popen = None\n"
         "from hysteresis_ros.cli.main import main\n"
         "main(sys.argv[1:])"
