@@ -154,7 +154,7 @@ def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=Non
 
 
 def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:
-    """Return the voltages before the first sample with which the model fits the measurement best."""
+    """Return the earlier voltages, before the first sample, that make the model fit the measurement best."""
     last = wiped_out(voltage)
     v, y = voltage[:last], measured[:last]
     largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))

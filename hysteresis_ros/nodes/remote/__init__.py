@@ -9,6 +9,6 @@
 
 """The commands ``hysteresis status|get|set|call|echo|setpoint`` in the graph, without the command ``ros2``.
 
-Read commands first, then client (the node that executes a command). session keeps a client in the graph, and door
-connects to the session without ROS.
+Read ``commands`` first, then ``client`` (the node that executes a command). ``session`` keeps a client in the graph,
+and ``door`` connects to the session without ROS.
 """
