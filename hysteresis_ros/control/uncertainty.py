@@ -192,13 +192,15 @@ def possible_plant(
     late: float = 0.0,
     *,
     acting: bool = False,
+    aliased: bool = False,
 ) -> PossiblePlant:
     """Return a plant whose gain, times and delay differ from the model's.
 
     ``gain`` and ``slowness`` are factors on the gain and on all times; ``acting`` adds the second output of
-    :func:`~hysteresis_ros.control.margins.with_acting`. Units: ``sample_time`` [s], ``late`` [samples].
+    :func:`~hysteresis_ros.control.margins.with_acting`; ``aliased`` is that of :func:`slowed`. Units: ``sample_time``
+    [s], ``late`` [samples].
     """
-    changed = slowed(dynamics, slowness) if slowness != 1.0 else {}
+    changed = slowed(dynamics, slowness, aliased=aliased) if slowness != 1.0 else {}
     matrices: dict[str, Any] = {name: tuple(changed[name]) for name in ("A", "B") if name in changed}
     delay = changed.get("delay", dynamics.delay) + late * sample_time
     scale = dynamics.resolved_input_scale
@@ -253,16 +255,8 @@ def aliased_plants(
     poles = np.linalg.eigvals(model.A) if model.order else np.zeros(0)
     if not np.any((poles.real < 0.0) & (poles.imag != 0.0)):
         return ()
-    found = []
-    for slowness in np.linspace(1.0 - uncertainty.resonance, 1.0 + uncertainty.resonance, ALIASED):
-        changed = slowed(dynamics, float(slowness), aliased=True)
-        scale = dynamics.resolved_input_scale
-        delay = changed.get("delay", dynamics.delay)
-        A, B = (tuple(changed[name]) for name in ("A", "B"))
-        other = replace(dynamics, A=A, B=B, delay=delay, sample_time=sample_time, input_scale=scale)
-        text = f"times {100.0 * (slowness - 1.0):+.3g} %, aliased modes"
-        found.append(PossiblePlant(plant_state_space(other), 0.0, text))
-    return tuple(found)
+    times = np.linspace(1.0 - uncertainty.resonance, 1.0 + uncertainty.resonance, ALIASED)
+    return tuple(possible_plant(dynamics, sample_time, slowness=float(one), aliased=True) for one in times)
 
 
 #: Damping ratio of the resonance that is assumed above the known range, and height of its peak relative to the static
