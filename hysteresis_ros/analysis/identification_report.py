@@ -239,7 +239,7 @@ class ShownStage(Protocol):
 
     @property
     def held_out(self) -> Held | None:
-        """The held-out realisation; None if there is none."""
+        """The held-out realisation; None if no realisation was held out."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ def design_damping(
     search = _Search(kind, dynamics, sample_time, plants, force, peak)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    # first search for filters that tolerate one more sample of delay; if there are none, for the modelled delay
+    # first search for filters that tolerate one more sample of delay; without such filters, for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:

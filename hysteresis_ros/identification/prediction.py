@@ -264,7 +264,7 @@ def judge(
 
 
 def _recovered(chain: PlantModel, data: IdentificationData, skip: int, free_offset: bool) -> InverseValidation | str:
-    """Return the validation of the inverse, or the reason why there is none."""
+    """Return the validation of the inverse, or the reason why it is missing."""
     if not chain.invertible:
         return f"{chain.hysteresis.type} includes dynamics and has no inverse"
     try:

@@ -73,7 +73,7 @@ class SlowGain(NamedTuple):
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances; if there is none, of all movement.
+    """Return the gain of the slowest movement that exceeds the disturbances, or that of all movement.
 
     Units: ``sample_time`` [s].
     """

@@ -633,7 +633,7 @@ class Trial(NamedTuple):
 
     rate: float  #: Samples per second [Hz].
     lateness: Lateness  #: Lateness of the samples, and number of skipped samples.
-    warning: str  #: Requests that the operating system refused; empty if there are none.
+    warning: str  #: Requests that the operating system refused; empty without a refusal.
 
     @property
     def is_held(self) -> bool:

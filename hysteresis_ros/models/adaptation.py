@@ -265,7 +265,7 @@ def learn(settings, states, measured, usable):
     settings : AdaptationSettings
     states : AdaptationStates
     measured : float
-        Measurement [m]; NaN: there is none.
+        Measurement [m]; NaN: no measurement.
     usable : float
         0: the adaptation does not learn from this sample.
     """

@@ -55,7 +55,7 @@ class LinearTerms:
     output : int
         Index in x of the last output [m]; ``NOWHERE``: the output is not stored.
     offset : int
-        Index in p of the constant part of the output [m]; ``NOWHERE``: there is none.
+        Index in p of the constant part of the output [m]; ``NOWHERE``: there is no such part.
     """
 
     weights: tuple[int, ...]

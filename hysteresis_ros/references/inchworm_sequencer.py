@@ -629,7 +629,7 @@ class InchwormSequencer(Block):
 
     @property
     def error(self) -> str:
-        """Name of the present error; empty if there is none."""
+        """Name of the present error; empty without an error."""
         return at.ERROR_NAMES[int(self.x[at.ERROR])]
 
     @property
