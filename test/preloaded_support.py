@@ -12,8 +12,9 @@
 A node or a command spends most of its processor time on importing Numba, SciPy, rclpy and this package, and a run of
 the tests starts hundreds of them. After :func:`install`, a ``subprocess.Popen`` of ``python -m hysteresis_ros.…`` is a
 fork of a process that has imported them, and becomes a child of this process. Everything else is unchanged: identifier,
-arguments, environment, folder, pipes, session, signals and exit code; the module runs as ``__main__``. A process of
-``STARTERS``, which starts others itself, keeps a copy of its state before it runs, from which these are forked.
+arguments, environment, folder, pipes, session, signals and exit code; the module runs as ``__main__``. Only the
+objects of Python are not freed when it ends. A process of ``STARTERS``, which starts others itself, keeps a copy of
+its state before it runs, from which these are forked.
 
 A start that could differ by its imports is not replaced: another interpreter, environment variables other than
 ``HARMLESS``, another copy of the package in the path, the user's modules in the folder. With ``HYSTERESIS_COLD=1`` no
@@ -22,6 +23,7 @@ start is replaced; the marker ``cold`` has this effect for a single test.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import gc
@@ -50,6 +52,11 @@ HARMLESS = frozenset(
 )
 #: Modules whose processes start others of the package.
 STARTERS = frozenset({"hysteresis_ros.cli.main", "hysteresis_ros.cli.entry"})
+#: Modules of ROS that nodes import.
+ROS = (
+    *("rclpy.lifecycle", "rclpy.action", "rclpy.executors", "rclpy.experimental"),
+    *("sensor_msgs.msg", "diagnostic_msgs.msg", "std_srvs.srv", "rcl_interfaces.srv", "lifecycle_msgs.srv"),
+)
 #: Environment variable with which no start is replaced.
 COLD = "HYSTERESIS_COLD"
 
@@ -233,27 +240,20 @@ def close() -> None:
     _starter = None
 
 
-def _import_all_but_ros() -> None:
-    """Import all modules of the package, except those that need rclpy or a package that is not installed.
-
-    rclpy starts threads on import, which a fork does not have: each process that needs it imports it.
-    """
-    sys.modules["rclpy"] = None
+def _import_all() -> None:
+    """Import all modules of the package and what nodes use of ROS, except what is not installed."""
     package = importlib.import_module(PACKAGE)
     for found in pkgutil.walk_packages(package.__path__, f"{PACKAGE}.", onerror=lambda name: None):
         if not found.name.endswith(".__main__"):
             with contextlib.suppress(ImportError):
                 importlib.import_module(found.name)
-    del sys.modules["rclpy"]
-    for messages in (
-        "sensor_msgs.msg",
-        "diagnostic_msgs.msg",
-        "std_srvs.srv",
-        "rcl_interfaces.srv",
-        "lifecycle_msgs.srv",
-    ):
+    for module in ROS:
         with contextlib.suppress(ImportError):
-            importlib.import_module(messages)
+            importlib.import_module(module)
+    interfaces = [module for name, module in list(sys.modules.items()) if name.endswith((".msg", ".srv"))]
+    for kind in {value for module in interfaces for value in vars(module).values() if isinstance(value, type)}:
+        if hasattr(type(kind), "__import_type_support__"):
+            type(kind).__import_type_support__()
 
 
 def _load_kernels() -> None:
@@ -338,7 +338,41 @@ def _become(request: dict, files: list[int], base: list[str]) -> None:
     if request["module"] in STARTERS:
         _keep_a_copy(base)
     sys.modules.pop(request["module"], None)
-    runpy._run_module_as_main(request["module"])
+    try:
+        runpy._run_module_as_main(request["module"])
+    except SystemExit as error:
+        _end(error.code)
+        raise
+    _end(None)
+
+
+def _end(code) -> None:
+    """End this process as Python does, except that no objects are freed: this takes longer than the work of most.
+
+    It returns where more is left to Python: a participant of DDS, which says goodbye when it is freed; a ``code`` to
+    print; output that could not be written.
+    """
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    participants = any(name.startswith("dds.ev") for name in _threads())  # each has a thread of this name
+    if participants or not (code is None or isinstance(code, int)):
+        return
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit((code or 0) & 0xFF)
+
+
+def _threads() -> list[str]:
+    """Return the names of the threads of this process, also of those that libraries have started."""
+    return [name.read_text() for name in pathlib.Path("/proc/self/task").glob("*/comm")]
+
+
+def _threads_of_ros() -> int:
+    """Import rclpy; return the number of threads: LTTng's wait for requests to trace, and no fork needs them."""
+    with contextlib.suppress(ImportError):
+        importlib.import_module("rclpy")
+    return len(_threads())
 
 
 def _keep_a_copy(base: list[str]) -> None:
@@ -372,12 +406,13 @@ def _serve(channel: socket.socket, folder: str) -> None:
     _end_with_parent()
     base = sys.path[1:]
     sys.path.insert(1, folder)
-    _import_all_but_ros()
+    threads = _threads_of_ros()
+    _import_all()
     _load_kernels()
     inspect.getframeinfo(sys._getframe())  # rclpy calls this at each place that logs; the function caches all modules
     gc.collect()
     gc.freeze()
-    if len(os.listdir("/proc/self/task")) > 1:
+    if len(_threads()) > threads:
         sys.exit("a library has started a thread, which a fork would not have")
     _become(*_served(channel), base)
 

@@ -133,3 +133,18 @@ def test_what_could_import_otherwise_is_started_truly(case, tmp_path, monkeypatc
     assert not forked
     subprocess.run([*MAIN, "--help"], capture_output=True, env={**os.environ, "PYTHONPATH": home}, cwd=tmp_path)
     assert len(forked) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["--help"], ["--nonsense"]])
+def test_exit_code_is_that_of_a_true_start_also_if_the_output_is_closed(words):
+    codes = {False: [], True: []}
+    for cold, found in codes.items():
+        preloaded_support.start_cold(cold)
+        reading, writing = os.pipe()
+        os.close(reading)
+        found.append(subprocess.run([*MAIN, *words], stdout=writing, stderr=subprocess.DEVNULL).returncode)
+        os.close(writing)
+        found.append(subprocess.run([*MAIN, *words], capture_output=True).returncode)
+    preloaded_support.start_cold(False)
+    assert codes[False] == codes[True]
