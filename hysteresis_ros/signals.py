@@ -80,7 +80,9 @@ SIGNALS = (
     Signal("switching", "1", CONTROLLER, "switching function", _at(CONTROLLER, name="switching")),
     Signal("disturbance", "1", CONTROLLER, "estimated disturbance", _at(CONTROLLER, name="disturbance")),
     Signal("plant_voltage", "V", PLANT, "output voltage of the amplifier", _at(PLANT, name="voltage")),
-    Signal("saturated", "1", COMPENSATOR, "1: range or slew rate cut the voltage", _at(COMPENSATOR, name="saturated")),
+    Signal(
+        "saturated", "1", COMPENSATOR, "1: range or slew rate limits the voltage", _at(COMPENSATOR, name="saturated")
+    ),
     Signal(
         "seen", "m", CONTROLLER, "measurement that the controller used, NaN: none", _at(CONTROLLER, name="measured")
     ),
@@ -91,7 +93,7 @@ SIGNALS = (
     Signal(
         "tripped", "1", PLANT, "not 0: the plant has stopped the axis until it is started", _at(PLANT, name="tripped")
     ),
-    Signal("late", "1", PLANT, "voltages so far that were late", _at(PLANT, name="late")),
+    Signal("late", "1", PLANT, "number of late voltages so far", _at(PLANT, name="late")),
     Signal("skipped", "1", PLANT, "1: skipped, because its deadline was missed", _at(PLANT, name="skipped")),
     Signal(
         "adaptation",

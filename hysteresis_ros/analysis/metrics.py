@@ -187,7 +187,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
     controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
     With ``feedforward.preview`` every figure uses the reference delayed by that many samples. Samples without reference
-    or displacement do not count. If a scan begins with a jump, errors count from its first reversal on
+    or displacement do not count. If a scan begins with a jump, errors are evaluated from its first reversal on
     (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors, steps,
     loops and the residual omit the samples in which the axis is stopped
     (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
@@ -280,7 +280,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         notes |= {name: NOT_JUDGED[Kind.SHUTDOWN] for name, *_ in FIGURES if name in _JUDGED}
     if judged.size < off.size:
         lost = float(np.sum(np.diff(time)[off[1:]]))
-        text = f"errors, steps and loops do not count {lost:.4g} s of shutdown: the axis was stopped"
+        text = f"errors, steps and loops exclude {lost:.4g} s of shutdown: the axis was stopped"
         if not stop_is_recorded(recording):
             text += " (not recorded, but its voltage left a settled hold and then stayed constant)"
         notes["recording"] = [*notes["recording"], text]
@@ -364,8 +364,8 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
 def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dict:
     if start:
         text = (
-            f"errors count from {run.time[start]:.4g} s on: the scan begins with a jump, which lasts until "
-            f"its first reversal"
+            f"errors are evaluated from {run.time[start]:.4g} s on: the scan begins with a jump, whose effect lasts "
+            f"until its first reversal"
         )
         notes["recording"] = [*notes["recording"], text]
     error = (run.reference - run.displacement)[start:]

@@ -395,7 +395,7 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
-    """Return the chart of the errors on trace and retrace over the reference [nm, µm]; None without reversals."""
+    """Return the chart of trace and retrace errors [nm] versus the reference [µm]; None without reversals."""
     if run.error is None or run.reference is None:
         return None
     branches = last_branches(run.recording, run.reference)

@@ -192,7 +192,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
             click.echo(f"report: {page}")
     if whole:
         seconds = sum(outcome.seconds for outcome in situation.found.values())
-        click.echo(f"all stages: the {'stage' if coupled else 'axis'} was driven for {seconds:.3g} s")
+        click.echo(f"total time of motion: {seconds:.3g} s")
         click.echo(f"written: {directory / COMMISSIONED}; run it: hysteresis up {directory / COMMISSIONED}")
         judged = ("scan", "judge") if coupled else ("scan",)
         if not all(situation.found[name].figures["as_predicted"] for name in judged):

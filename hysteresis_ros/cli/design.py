@@ -70,12 +70,12 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--feedforward",
     is_flag=True,
-    help="Add the inverse of the dynamics as feedforward, of a stage that of all axes together.",
+    help="Add the inverse of the dynamics as feedforward; for a stage the inverse of all axes together.",
 )
 @click.option(
     "--preview",
     type=int,
-    help="Preview of the reference [samples], with --feedforward; 0: by its velocity, for smooth references.",
+    help="Preview of the reference [samples], with --feedforward; 0: feedforward by velocity, for smooth references.",
 )
 @click.option(
     "--robust", is_flag=True, help="Design for the worst of random plants around the model, within the ranges below."

@@ -85,7 +85,9 @@ class FitState:
 )
 @click.option("--axes", help="Stage: names of the axes, such as x,y; by default those of the recording.")
 @click.option("--period", type=Quantity("s"), help="Stage: period of the inputs; detected by default.")
-@click.option("--settle", type=int, help="Stage: periods of each realisation for settling.  [default: 1 of 3]")
+@click.option(
+    "--settle", type=int, help="Stage: periods of each realisation to discard for settling.  [default: 1 of 3]"
+)
 @click.option("--held-out", type=int, default=1, show_default=True, help="Stage: realisations held out for validation.")
 @click.option("--plays", type=int, default=8, show_default=True, help="Stage, internal: plays of each hysteresis.")
 @click.option("--hystereses", type=int, default=2, show_default=True, help="Stage, internal: hystereses per actuator.")
@@ -310,8 +312,8 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
     namespace = columns["namespace"] or ""
     if not namespace and is_stage(data):
         raise ConfigurationError(
-            f"{data}: is of a stage, and validate judges a single axis: give --namespace AXIS for a file of "
-            "one axis; hysteresis identify judges a stage on the realisations that --held-out keeps back"
+            f"{data}: is the recording of a stage, but validate evaluates a single axis: give --namespace AXIS for a "
+            "file of one axis; hysteresis identify evaluates a stage on the realisations that --held-out reserves"
         )
     reading = read(data, whole=True, **columns)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)

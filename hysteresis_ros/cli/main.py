@@ -42,7 +42,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "hysteresis_ros.cli.remote:move",
             "Move a running axis; print when it will be ready within a tolerance, and when it was.",
         ),
-        "quiet": ("hysteresis_ros.cli.remote:quiet", "Let a running axis stand still for a time, without its loop."),
+        "quiet": ("hysteresis_ros.cli.remote:quiet", "Hold the command of a running axis without feedback."),
         "status": ("hysteresis_ros.cli.remote:status", "Print nodes, health and position of each running axis."),
         "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
         "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),

@@ -177,7 +177,7 @@ def move(value, tolerance, dwell, namespace, timeout):
     in_graph("move", namespace, timeout, value=_quantity("setpoint", value, "m"), **given)
 
 
-@click.command(short_help="Let a running axis stand still, without its loop.")
+@click.command(short_help="Hold the command of a running axis constant, without feedback.")
 @click.argument("duration")
 @click.option("--tolerance", help="Largest drift by creep, e.g. 5nm; by default any.")
 @steered()

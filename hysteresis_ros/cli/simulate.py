@@ -51,7 +51,7 @@ from hysteresis_ros.cli.progress import shown
     "quiets",
     multiple=True,
     metavar="START:DURATION[:TOLERANCE]",
-    help="Let the command stand still, such as 1s:500ms:5nm; repeatable. TOLERANCE: largest drift by creep.",
+    help="Hold the command constant, such as 1s:500ms:5nm; repeatable. TOLERANCE: largest drift by creep.",
 )
 @click.option("--learned", metavar="FILE", help="Write the learned correction at the end, for learning.file.")
 @click.option(
@@ -152,7 +152,7 @@ def _say_triggers(recording, axis: str = "") -> None:
 
     found = triggers_of(recording)
     if found.sample.size:
-        lost = f"; {found.lost} more followed others too fast" if found.lost else ""
+        lost = f"; {found.lost} more were lost because they followed too fast" if found.lost else ""
         first, last = found.time[0], found.time[-1]
         click.echo(f"{axis}{found.sample.size} triggers from {first:.9g} to {last:.9g} s{lost}")
 

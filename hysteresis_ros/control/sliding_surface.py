@@ -72,7 +72,7 @@ class SlidingModeParameters(Parameters):
         "lq",
         choices=("given", "lq", "poles"),
         read_only=True,
-        description="Whether S is given, follows from an LQ problem, or from the poles of the sliding motion",
+        description="How S is determined: given, from an LQ problem, or from the poles of the sliding motion",
     )
     S: tuple[float, ...] = parameter(
         (), description="Hyperplane when given: one entry per state; with integral tracking one more, for the integral"

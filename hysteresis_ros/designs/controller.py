@@ -433,7 +433,7 @@ class AxisDesign:
     gain: float = 1.0  #: Largest factor on the plant's gain at which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
     together: str = ""  #: How the loops of the other axes of a stage have changed this design.
-    calmed: str = ""  #: Why the law is slower than it could be.
+    calmed: str = ""  #: Why the controller is slower than it could be.
 
     def misses(self) -> tuple[str, ...]:
         """Return the unmet requirements of the loop, on the model or on one of the other plants."""
@@ -618,7 +618,7 @@ def _with_smooth_approach(text: str, result: AxisDesign, namespace: str) -> str:
         for name, limit in zip(("maximum_acceleration", "maximum_jerk"), limits, strict=True)
     }
     changed = _text(configuration, lambda before: before | slower, namespace, "", (), "reference_generator")
-    reason = f"each average lasts {SMOOTH:g} mean delays of the model or more: feedforward by velocity"
+    reason = f"each moving average lasts at least {SMOOTH:g} mean delays of the model, for feedforward by velocity"
     ends = tuple(f"{name.removeprefix('approach.')}: {value!r}" for name, value in slower.items())
     reasons = "".join(f"{line}  # {reason}\n" for line in changed.splitlines() if line.endswith(ends))
     return with_comments(with_comments(changed, reasons), text)

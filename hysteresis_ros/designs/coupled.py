@@ -203,14 +203,15 @@ def _adjusted_together(
     if not unmet:
         return first
     kind = ", ".join(sorted(kinds))
-    ways = [(request, resonance, f"the law is slower around the damping {kind}" if kinds else "the law is slower")]
+    slower = f"the controller around the damping {kind} is slower" if kinds else "the controller is slower"
+    ways = [(request, resonance, slower)]
     if request.damping not in (None, NONE):
         # weaker dampings, then no damping; without it the law cancels resonances that the plant may have elsewhere
         ways += [
             (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
             for peak in PEAKS
         ]
-        ways.append((replace(request, damping=NONE), 0.0, f"no damping: {kind} does not suffice, however weak"))
+        ways.append((replace(request, damping=NONE), 0.0, f"no damping: even a weak {kind} violates the requirements"))
     free = _free(request)
     for asked, deviation, words in ways:
         with contextlib.suppress(HysteresisError):  # there is no such damping

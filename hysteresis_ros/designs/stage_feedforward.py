@@ -109,7 +109,7 @@ def design_stage_feedforward(
     if preview is None or band is None:
         raise ConfigurationError(
             f"--feedforward: with {length} samples of preview {100.0 * found.after:.3g} % of coupling remain up to "
-            f"{limit:g} Hz, allowed are {100.0 * REMAINING:g} %: give a lower --bandwidth, or also --preview"
+            f"{limit:g} Hz, at most {100.0 * REMAINING:g} % is allowed: give a lower --bandwidth, or also --preview"
         )
     return found
 
@@ -140,8 +140,8 @@ def _require_decoupled(parameters: StageParameters) -> None:
     share = np.abs(gain - np.diag(np.diag(gain))) / np.abs(np.diag(gain))
     if np.max(share) > AT_REST:
         raise ConfigurationError(
-            f"{parameters.namespace}/{STAGE}: decoupling: {100.0 * np.max(share):.3g} % of coupling remain at rest, "
-            f"allowed are {100.0 * AT_REST:g} %: give {right_decoupling(parameters)}"
+            f"{parameters.namespace}/{STAGE}: decoupling: {100.0 * np.max(share):.3g} % of coupling remains at rest, "
+            f"at most {100.0 * AT_REST:g} % is allowed: give {right_decoupling(parameters)}"
         )
 
 

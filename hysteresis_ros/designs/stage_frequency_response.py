@@ -281,8 +281,8 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
             raise DataError(
                 "constant",
                 f"{reading.source}: the inputs move by {readable(usual, 'V')} RMS most of the time, but by "
-                f"{readable(whole, 'V')} with the way to their middle: excite more strongly; hysteresis excite prints "
-                "by how much limits.slew_rate of plant_simulator and hysteresis_compensator reduces the amplitude",
+                f"{readable(whole, 'V')} including the move to their centre: excite more strongly; hysteresis excite "
+                "prints how far limits.slew_rate of plant_simulator and hysteresis_compensator reduces the amplitude",
             ) from None
         alike = np.abs(np.corrcoef(u.T)) - np.eye(len(names)) if len(names) > 1 else np.zeros((1, 1))
         one, other = np.unravel_index(int(np.argmax(alike)), alike.shape)

@@ -949,7 +949,7 @@ def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> 
         if unsure > UNSURE:
             found.append(
                 f"{slow}: its response at {readable(where, 'Hz')} is known to ±{100.0 * unsure:.0f} %, and the design "
-                "assumes the worst of this: record more realisations (hysteresis excite --realisations)"
+                "assumes the worst case: record more realisations (hysteresis excite --realisations)"
             )
         elif bandwidth < lowest:
             reason = "" if noise is None else f"; the noise of {readable(noise, 'm')} may be the reason: give --noise"

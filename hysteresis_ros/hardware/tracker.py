@@ -398,13 +398,13 @@ class TrackingParameters(Parameters):
         0.5, low=0.01, high=1.0, read_only=True, description="pattern: least coherence with the first frame"
     )
     largest_uncertainty: float = parameter(
-        0.1, unit="px", low=1.0e-6, high=10.0, description="largest standard deviation of the place"
+        0.1, unit="px", low=1.0e-6, high=10.0, description="largest standard deviation of the position"
     )
     frozen_frames: int = parameter(
         5,
         low=0,
         high=10**9,
-        description="number of bit-for-bit equal frames in a row that means a frozen camera; 0: not checked",
+        description="number of bit-for-bit equal frames after which the camera counts as frozen; 0: not checked",
     )
 
     def check(self):
@@ -425,7 +425,7 @@ class CameraCalibrationParameters(SensorCalibrationParameters):
         low=1,
         high=10**6,
         read_only=True,
-        description="relative: number of frames whose mean place is the home position",
+        description="relative: number of frames that are averaged for the home position",
     )
 
 
@@ -521,7 +521,7 @@ class Tracker:
         self._same = self._same + 1 if self._last is not None and np.array_equal(grey, self._last) else 0
         self._last = grey
         if 0 < tracking.frozen_frames <= self._same:
-            return nowhere(f"frozen: {self._same + 1} frames in a row are equal in every bit")
+            return nowhere(f"frozen: {self._same + 1} frames in a row are bit for bit equal")
         if not fits(grey, tracking):
             return nowhere(f"region = {tracking.region} does not lie within {grey.shape[1]} x {grey.shape[0]} px")
         if tracking.method == "pattern":

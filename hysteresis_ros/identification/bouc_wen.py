@@ -222,7 +222,7 @@ SETTLING = 1
 #: Starts agree if their residuals are at most this factor times the smallest; if two agree, the search ends …
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
-#: … provided that the residual is below this fraction of the stroke.
+#: … provided that its residual is below this fraction of the stroke.
 WELL_DONE = 0.05
 
 

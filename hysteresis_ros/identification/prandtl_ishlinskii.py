@@ -507,7 +507,7 @@ class Ambiguity:
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return how far densities and maps that fit equally well differ from the model; None if there are no others."""
+    """Return the deviation of densities and maps that fit equally well from the model; None if only the model fits."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     if chosen.type == "preisach" and least > POOR * data.stroke:

@@ -292,8 +292,8 @@ def _refusal(data: IdentificationData, turn: float | None, gain: SlowGain) -> st
     if turn is not None:
         where = readable(turn, data.input_unit)
         return (
-            f"the output {data.output_name} is a butterfly: it turns at an input of {where}, and no model with an "
-            f"inverse describes both sides; {_closest(data, turn)}"
+            f"the output {data.output_name} has a butterfly loop: it reverses at an input of {where}, and no model "
+            f"with an inverse describes both sides; {_closest(data, turn)}"
         )
     return _falling(data, gain)
 

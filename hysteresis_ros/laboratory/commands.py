@@ -139,7 +139,7 @@ def _pages_and_files(outputs, best: bool):
     "bounds",
     multiple=True,
     metavar="NAME=MAXIMUM",
-    help="Bound of a metric, or NAME=MINIMUM:MAXIMUM; prints the share of the axes that meets all bounds; repeatable.",
+    help="Bound of a metric, or NAME=MINIMUM:MAXIMUM; prints the fraction of axes that meet all bounds; repeatable.",
 )
 @click.option("--confidence", type=click.FloatRange(0.5, 0.999999), default=0.95, show_default=True)
 @click.option(

@@ -123,7 +123,7 @@ class Axis:
 
     @property
     def given(self) -> np.ndarray:
-        """Indices of the inputs of a run in the row of a sample."""
+        """Column indices of the inputs of a run in a sample's row."""
         return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(

@@ -127,7 +127,7 @@ class Pace(NamedTuple):
     schedule: np.ndarray
     #: Requests to all axes, a table per request, shape (POSTS, axes, POST).
     posts: np.ndarray
-    #: Switches that were made: sample, code, axis; int64, shape (EVENTS, 3).
+    #: Executed starts, stops and retunings: sample, code, axis; int64, shape (EVENTS, 3).
     events: np.ndarray
     #: Histogram of the lateness, int64, shape (BINS,).
     histogram: np.ndarray

@@ -63,8 +63,8 @@ class NodeParameters(Parameters):
         "realtime",
         choices=("realtime", "lockstep", "fused"),
         read_only=True,
-        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it "
-        "can; fused: all nodes in one process, one compiled thread runs the loop in real time",
+        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, without "
+        "real time; fused: all nodes in one process, one compiled thread runs the loop in real time",
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
     force_joint: str = parameter(
@@ -84,7 +84,7 @@ class NodeParameters(Parameters):
         unit="s",
         low=0.1,
         high=3600.0,
-        description="lockstep: time without a message of a partner after which the run ends; DDS may take 3 s to "
+        description="lockstep: time without a message from another node after which the run ends; DDS may take 3 s to "
         "repeat a lost message",
     )
     faults: tuple[str, ...] = parameter(
@@ -363,8 +363,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         spin, most = self.realtime.spin, SPIN_PART / (self.sample_rate * self.real_time_factor)
         if self.time_mode == "fused" and spin > most and not self.realtime.force:
             remedy = (
-                f"leaves the system too little of a core: give at most {SPIN_PART:g} of a period, {most:.3g} s, or "
-                "-1 (automatic), or lower sample_rate; on a core that has nothing else to do (isolcpus=, "
+                f"leaves the system too little time on the core: give at most {SPIN_PART:g} of a period, {most:.3g} s, "
+                "or -1 (automatic), or lower sample_rate; on a core that has nothing else to do (isolcpus=, "
                 "kernel.sched_rt_runtime_us = -1) also realtime.force: true"
             )
             yield Problem("realtime.spin", spin, remedy, "s")
@@ -389,7 +389,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             remedy = "the thread of a fused loop has no time to evaluate frames: give time_mode: realtime or lockstep"
             yield Problem("time_mode", self.time_mode, remedy)
         if self.force_sensor.there and self.type != "actuator":
-            remedy = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
+            remedy = f"a force sensor needs type actuator; give 0 with type {self.type}"
             yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, remedy)
         if self.joint == self.force_joint:
             yield Problem("force_joint", self.force_joint, "must differ from joint")

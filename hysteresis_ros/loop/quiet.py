@@ -70,8 +70,8 @@ class QuietParameters(Parameters):
         unit="s",
         low=0.0,
         high=60.0,
-        description="time over which the command is averaged, at least two samples; it then fades to this mean, in the "
-        "same time, and stands still",
+        description="time over which the command is averaged, at least two samples; it then moves to this mean, in the "
+        "same time, and is held",
     )
     on_trigger: float = parameter(
         0.0,
@@ -79,13 +79,13 @@ class QuietParameters(Parameters):
         low=0.0,
         high=LONGEST,
         read_only=True,
-        description="length of the quiet hold that a pulse of the trigger input begins; 0: it begins none",
+        description="length of the quiet hold that a pulse of the trigger input begins; 0: no quiet hold",
     )
     creep_uncertainty: float = parameter(
         0.3,
         low=0.0,
         high=10.0,
-        description="part of the predicted creep that is assumed to remain when it is compensated: the drift",
+        description="fraction of the predicted creep that is assumed to remain as drift after compensation",
     )
 
 
@@ -184,7 +184,7 @@ class Forecast:
             return
         if not self.is_known:
             remedy = (
-                "how long the axis may be quiet is unknown, because hysteresis_compensator has no creep model "
+                "the permissible duration is unknown, because hysteresis_compensator has no creep model "
                 "(creep.type: none); identify one from a step (hysteresis identify --creep), or omit the tolerance"
             )
             raise ParameterError([Problem(f"{QUIET}: {TOLERANCE}", tolerance, remedy, "m")])

@@ -510,7 +510,7 @@ class Stage:
         return next(iter(lengths.values()))
 
     def apply(self, change: Change, place: int) -> None:
-        """Start, stop or retune a part of the axis with this index between two samples."""
+        """Between two samples, start, stop or retune a part of axis number ``place``."""
         self.axes[place].apply(change)
         if (change.node, change.action) == ("plant_simulator", "reset"):
             self._coupling.settle(self.plants)

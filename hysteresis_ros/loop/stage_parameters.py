@@ -111,7 +111,7 @@ class StageScanParameters(Parameters):
         (), read_only=True, description="names of the axes that follow x, y and z; empty: the first ones"
     )
     periods: int = parameter(
-        2, low=0, read_only=True, description="periods of the path after which the axes stay; 0: endless"
+        2, low=0, read_only=True, description="periods of the path after which the axes hold their position; 0: endless"
     )
     clock: str = parameter(
         "line", choices=LEVELS, read_only=True, description="finest level of the clock on the topic scan_clock"
@@ -139,13 +139,13 @@ class StageNodeParameters(NodeParameters):
     sensor_matrix: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="from the readings of the sensors to the degrees of freedom, n·n numbers row "
+        description="matrix from the readings of the sensors to the degrees of freedom, n·n numbers row "
         "by row; empty: each sensor measures its axis",
     )
     decoupling: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="from the commands of the degrees of freedom to those of the actuators, n·n "
+        description="matrix from the commands of the degrees of freedom to those of the actuators, n·n "
         "numbers row by row; empty: each actuator drives its axis",
     )
     feedforward: StageFeedforwardParameters = group(StageFeedforwardParameters)
@@ -204,10 +204,10 @@ def _hidden_parts(model: StateSpace, sample_rate: float):
     for pole in model.poles[model.poles.imag >= 0.0]:
         still = model.A - pole * np.eye(model.order)
         if not full_rank(np.hstack([still, model.B]).T):
-            allowed = f"no actuator moves {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
+            allowed = f"no actuator excites {_mode(pole, sample_rate)}: remove it, or correct the matrix"
             yield Problem("structure.B", tuple(model.B.ravel()), allowed)
         if not full_rank(np.vstack([still, model.C])):
-            allowed = f"no sensor shows {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
+            allowed = f"no sensor observes {_mode(pole, sample_rate)}: remove it, or correct the matrix"
             yield Problem("structure.C", tuple(model.C.ravel()), allowed)
 
 

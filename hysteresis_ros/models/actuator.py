@@ -41,7 +41,7 @@ from hysteresis_ros.models.sensor import (
 class PreloadParameters(Parameters):
     """Preload L0 and the coefficients of W = A1 + B1 L0 + B2 L0² (Kim, Kim & Park 2009, eqs 3-5)."""
 
-    force: float = parameter(0.0, description="preload L0, compressing", unit="N", low=0.0)
+    force: float = parameter(0.0, description="preload L0, positive in compression", unit="N", low=0.0)
     A1: float = parameter(0.0, description="offset without preload", unit="m")
     B1: float = parameter(0.0, description="compliance: offset per preload", unit="m/N")
     B2: float = parameter(0.0, description="change of the compliance with the preload", unit="m/N²")

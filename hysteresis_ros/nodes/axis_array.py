@@ -51,7 +51,7 @@ SETPOINTS, VOLTAGES, JOINT_STATES = "setpoints", "voltages", "joint_states"
 _ARRAY, _JOINTS, _TEXT = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 #: Lockstep: number of samples after which acknowledgements are awaited, and the longest duration of one wait [s].
 STRIDE, ACKNOWLEDGED = 64, 0.1
-#: Real time: delay [periods] above which the schedule is shifted instead of caught up with.
+#: Real time: delay [periods] above which the schedule is shifted, instead of catching up.
 FAR_BEHIND = 10.0
 #: Interval of the checks of a paused array, and of the bag [s].
 PAUSE, TEND = 0.01, 0.1

@@ -298,7 +298,7 @@ class FusedAxis:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
-        """Reset the part of a node to rest, for the plant all parts; the count of samples continues."""
+        """Reset the node's part of the loop to rest, for the plant all parts; the counter of samples continues."""
         if self.loop is None or self.axis is None:
             return
         whole = node.kind == "plant_simulator"

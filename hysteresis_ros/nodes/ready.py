@@ -69,7 +69,7 @@ class MoveToReady:
         self.begun = self.done = False
 
     def look(self, number: int, row, offset: float) -> bool:
-        """Add a sample with its number; return whether the axis is ready. ``offset``: of the measurements [m]."""
+        """Add a sample with its number; return whether the axis is ready. ``offset`` is that of measurements [m]."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:

@@ -352,7 +352,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     @property
     def offset(self) -> float:
-        """Part of a measurement that no reference contains [m]: the controller's offset of the preload."""
+        """Preload offset of the controller [m], which the measurement contains but the reference does not."""
         return 0.0 if self.ready is None else self.ready.offset
 
     def look_at(self, rows) -> None:
@@ -450,7 +450,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             return 2, "the plant has stopped the axis", values
         begun = "holds the initial position of the axis; send a setpoint, or call ~/start" if self.unasked else ""
         if lost:
-            return 1, f"{lost} triggers followed others too fast: move slower, or give them a larger distance", values
+            return 1, f"{lost} triggers followed too fast and were lost: move slower, or give a larger distance", values
         return (1, f"{refused} setpoints refused", values) if refused else (0, begun, values)
 
 

@@ -104,7 +104,7 @@ class GaitParameters(Parameters):
         low=0.0,
         high=100.0,
         read_only=True,
-        description="wait of the extender before a clamp closes",
+        description="time for which the extender waits before a clamp closes",
     )
     overlap: float = parameter(
         0.0,
@@ -317,7 +317,7 @@ class WalkParameters(Parameters):
     quick_clamps: bool = parameter(
         False,
         read_only=True,
-        description="true: the ramps of the clamps take the gait's times at any speed, and touch the slider at the "
+        description="true: the ramps of the clamps have the gait's durations at any speed, and touch the slider at the "
         "same phase; false: they take the same part of the cycle at any speed",
     )
     learning: bool = parameter(

@@ -484,7 +484,7 @@ class ScanLimits(Parameters):
     jerk: tuple[float, ...] = parameter((), description="largest jerk of each axis", unit="m/s³", low=0.0)
     bandwidth: float = parameter(
         0.0,
-        description="limit of the frequency below which 99.99 % of the power of the motion is; 0: none",
+        description="upper limit of the frequency below which 99.99 % of the motion's power lies; 0: none",
         unit="Hz",
         low=0.0,
     )

@@ -72,8 +72,8 @@ class TriggerParameters(Parameters):
 
     positions: tuple[float, ...] = parameter((), unit="m", description="positions that trigger, increasing")
     start: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="first position of a grid")
-    step: float = parameter(0.0, unit="m", low=0.0, high=1.0, description="distance in the grid; 0: no grid")
-    stop: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="end of the grid, included")
+    step: float = parameter(0.0, unit="m", low=0.0, high=1.0, description="spacing of the grid; 0: no grid")
+    stop: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="end of the grid, inclusive")
     direction: str = parameter(
         "both", choices=("both", "up", "down"), description="directions of motion in which positions trigger"
     )
@@ -97,7 +97,7 @@ class TriggerParameters(Parameters):
         unit="Hz",
         low=0.0,
         high=1.0e6,
-        description="highest rate of triggers that the receiver or the output takes; 0: one in each sample",
+        description="highest rate of triggers that the receiver or the output accepts; 0: one in each sample",
     )
     input: TriggerInputParameters = group(TriggerInputParameters)
 
@@ -150,11 +150,13 @@ class TriggerParameters(Parameters):
         kinds |= {"each": self.each if self.each != "none" else ()}
         there = [name for name, value in kinds.items() if value]
         if len(there) > 1:
-            yield Problem(there[1], kinds[there[1]], f"an axis triggers by one of them: leave {there[0]} or it out")
+            yield Problem(there[1], kinds[there[1]], f"cannot be combined with {there[0]}: give only one of them")
         if self.step and not self.start < self.stop:
             yield Problem("stop", self.stop, f"must be above start = {self.start:g} m", "m")
         elif self.step and (self.stop - self.start) / self.step > MOST:
-            yield Problem("step", self.step, f"gives more than {MOST} positions: a larger one, or a shorter grid", "m")
+            yield Problem(
+                "step", self.step, f"gives more than {MOST} positions: give a larger step or a shorter grid", "m"
+            )
         for name, unit in (("positions", "m"), ("down_positions", "m"), ("times", "s")):
             yield from _order_problems(name, getattr(self, name), unit)
         if self.times and not self.times[0] >= 0.0:
@@ -238,7 +240,7 @@ def trigger_problems(
             yield Problem(f"triggers.{name}", value, remedy, "m")
         rearm = given.rearmed(low, high)
         if math.isfinite(given.gap) and rearm >= given.gap:
-            remedy = f"must be below the least distance of positions, {given.gap:g} m"
+            remedy = f"must be below the smallest distance between positions, {given.gap:g} m"
             yield Problem("triggers.rearm", rearm, remedy, "m")
     apart = float(np.min(np.diff(given.times), initial=math.inf))
     if apart < least * (1.0 - 1e-9):

@@ -201,7 +201,7 @@ def test_a_law_without_damping_is_stable_with_a_sample_of_delay_in_all_loops():
     assert radius(closed_loop(slower, 1)) < 1.0 and radius(closed_loop(slower, 2)) < 1.0
     assert peak_together(slower) <= 2.0
     said = "otherwise all loops together are unstable with one more sample of delay"
-    assert all(one.together.startswith("the law is slower") and said in one.together for one in found.values())
+    assert all(one.together.startswith("the controller is slower") and said in one.together for one in found.values())
 
 
 @pytest.mark.slow

@@ -162,7 +162,7 @@ def test_what_a_stage_cannot_invert_is_refused():
     ):
         design_stage_feedforward(smc)
     with pytest.raises(
-        ConfigurationError, match=r": 4 % of coupling remain at rest, .*: give decoupling: \[1.0016, -0.04"
+        ConfigurationError, match=r": 4 % of coupling remains at rest, .*: give decoupling: \[1.0016, -0.04"
     ):
         design_stage_feedforward(stage(structure={"decoupling": []}))
     with pytest.raises(ConfigurationError, match="--bandwidth 4000 Hz: must be 20 … 2500 Hz"):

@@ -216,7 +216,7 @@ def test_a_controller_that_cannot_compare_these_positions_says_so(stand, monkeyp
     device = stand.open(trigger_line_up=1)
     grid = [1e-6, 2e-6, 3e-6]
     for up, down, said in (
-        (grid, grid, "has to trigger in the motion down, and gcs.trigger_line_down is 0; give its digital output"),
+        (grid, grid, "has to trigger during motion down, but gcs.trigger_line_down is 0; give its digital output"),
         ([1e-6, 2e-6, 4e-6], [], "compares equally spaced positions, two or more; give a grid: triggers.start"),
         ([1e-6], [], "compares equally spaced positions, two or more"),
     ):

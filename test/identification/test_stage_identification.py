@@ -443,7 +443,7 @@ def test_a_multisine_that_a_slew_rate_has_made_too_small_is_named(tmp_path):
         "raise limits" not in excited_stage(load_configuration("xy_scanner"), StageExcitation(), tmp_path / "m").words
     )
     reading = recorded(found.voltages)
-    with pytest.raises(DataError, match="with the way to their middle: excite more strongly; hysteresis excite prints"):
+    with pytest.raises(DataError, match="including the move to their centre: excite more strongly; hysteresis excite"):
         identify_stage(reading, realisations(reading), StageRequest(controller="none"))
 
 
@@ -799,7 +799,7 @@ def test_hr_identify_takes_several_inputs_and_outputs(truth):
 
 def test_what_the_loops_need_together_is_stated_once_and_not_for_each_axis(monkeypatch):
     design = SimpleNamespace(
-        together="the law is slower; otherwise M_s 2.4 of all loops together above 2",
+        together="the controller is slower; otherwise M_s 2.4 of all loops together above 2",
         margins=SimpleNamespace(bandwidth=100.0),
     )
     for name, value in (("design_controllers", dict.fromkeys("xy", design)), ("controllers_file", "text")):

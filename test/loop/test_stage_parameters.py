@@ -116,9 +116,9 @@ def test_a_mode_that_nothing_moves_or_shows_is_named():
     B, C = np.reshape(MODEL["B"], (4, 2)).copy(), np.reshape(MODEL["C"], (2, 4)).copy()
     B[2:] = 0.0
     said = refused(stage={"structure__B": tuple(B.ravel().tolist())})
-    assert "no actuator moves the mode at 800 Hz" in said and "np.float64" not in said
+    assert "no actuator excites the mode at 800 Hz" in said and "np.float64" not in said
     C[:, :2] = 0.0
-    assert "no sensor shows the mode at 700 Hz" in refused(stage={"structure__C": tuple(C.ravel())})
+    assert "no sensor observes the mode at 700 Hz" in refused(stage={"structure__C": tuple(C.ravel())})
 
 
 def test_a_singular_gain_names_the_direction_that_is_lost():

@@ -144,9 +144,9 @@ def test_beyond_this_machine_a_token_is_needed_that_nobody_guesses():
 
 def test_one_page_writes_at_a_time():
     control = Control()
-    assert control.refuses(1) == "no page has the control: take it first"
+    assert control.refuses(1) == "no page controls the axis: take control first"
     assert control.ask(1, "10.0.0.1") and not control.ask(2, "10.0.0.2")
-    assert not control.refuses(1) and "another page has the control (10.0.0.1" in control.refuses(2)
+    assert not control.refuses(1) and "another page controls the axis (10.0.0.1" in control.refuses(2)
     control.leave(2)
     assert not control.refuses(1)
     assert control.ask(2, "10.0.0.2", by_force=True) and control.refuses(1) and not control.refuses(2)

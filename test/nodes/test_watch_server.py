@@ -121,7 +121,7 @@ def test_one_page_writes_the_others_look_on_and_stop():
     async def check(bench):
         first, second = await bench.page(), await bench.page()
         refused = await second.ask(do="set", node="motion_controller", values={"pid.Kp": "1"})
-        assert not refused["ok"] and "another page has the control (127.0.0.1" in refused["text"]
+        assert not refused["ok"] and "another page controls the axis (127.0.0.1" in refused["text"]
         assert bench.link.asked == []
         stopped = await second.ask(do="stop")
         assert stopped["ok"] and bench.link.asked == ["stop", "stop"]

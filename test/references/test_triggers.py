@@ -278,7 +278,7 @@ SCAN = {
             r"triggers.step = 1e-09 m: gives more than 100000 positions",
         ),
         (WAVEFORM | {"triggers.times": (-0.1, 0.5)}, r"times = -0.1 s: must not be negative"),
-        (WAVEFORM | {"triggers.times": (0.1,), "triggers.positions": (1e-6,)}, r"triggers by one of them"),
+        (WAVEFORM | {"triggers.times": (0.1,), "triggers.positions": (1e-6,)}, r"give only one of them"),
         (WAVEFORM | {"triggers.each": "line"}, r"each = 'line': needs a scan: waveform.type: scan"),
         (SCAN | {"triggers.each": "pixel"}, r"waveform.scan.clock = 'line': must be pixel or finer"),
         (

@@ -105,7 +105,7 @@ def test_a_voltage_beyond_the_limits_is_not_held(voltage):
 
 def test_a_voltage_that_becomes_safe_too_late_or_not_for_good_is_not_held():
     slow = np.where(TIMES < 0.7, 5.0, 0.0)
-    assert "safe after 0.6 s, allowed are 0.5 s" in failures(seen=samples(slow))
+    assert "safe after 0.6 s, at most 0.5 s is allowed" in failures(seen=samples(slow))
     assert time_to_safe(samples(np.where(TIMES == 0.9, 1.0, 0.0)), 0.1, 1.0, BOUNDS) == pytest.approx(0.801)
     assert time_to_safe(samples(np.full(1500, 5.0)), 0.1, 1.0, BOUNDS) == math.inf
     unasked = judged(trace(samples(np.full(1500, 5.0))), replace(MISHAP, safe=""), BOUNDS)

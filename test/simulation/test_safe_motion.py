@@ -233,7 +233,7 @@ def test_moves_are_smooth_enough_for_feedforward_by_velocity():
     text = designed(FLEXURE, feedforward=True, preview=0)
     configuration = parse_configuration(text, "designed.yaml")
     assert configuration.node("motion_controller")["feedforward.type"] == "velocity"
-    assert "each average lasts 7 mean delays of the model or more: feedforward by velocity" in text
+    assert "each moving average lasts at least 7 mean delays of the model, for feedforward by velocity" in text
     assert setpoint_step(single_axis(configuration)).overshoot < 0.015
     sine = {"waveform.type": "sine", "waveform.amplitude": 20e-6, "waveform.frequency": 2.0, "initial_setpoint": 45e-6}
     errors = {}

@@ -527,10 +527,11 @@ def repetition_line(measured: np.ndarray, predicted: np.ndarray) -> str:
     Units: both [m], shape (periods, samples).
     """
     found, expected = unrepeated(measured), unrepeated(predicted)
-    said = f"{1e9 * found:.4g} nm RMS of it do not repeat from period to period, predicted {1e9 * expected:.4g} nm"
+    said = f"{1e9 * found:.4g} nm RMS of it does not repeat from period to period, predicted {1e9 * expected:.4g} nm"
     if found <= ERROR_AS_PREDICTED * expected:
         return said
-    return f"{said}: disturbances, missed deadlines or instants that vary; the model is judged by what repeats"
+    causes = "disturbances, missed deadlines or instants that vary"
+    return f"{said}: {causes}; the model is evaluated on the part that repeats"
 
 
 def _signals(recording: Recording) -> dict[str, np.ndarray]:

@@ -61,7 +61,7 @@ def identify_coupled(situation: StageSituation) -> Outcome:
     write_file(situation.folder.path / IDENTIFIED, found.text)
     held = found.held_out
     if held is None:
-        raise CommissioningError("no realisation was held out; begin anew in another --directory")
+        raise CommissioningError("no realisation was held out; start again in another --directory")
     lines = [f"{found.figures['type']} of order {found.figures['order']}, {found.figures['lines']} lines"]
     errors = zip(situation.names, held.errors, held.shapes, held.gains, held.motion, strict=True)
     for name, error, shape, gain, motion in errors:

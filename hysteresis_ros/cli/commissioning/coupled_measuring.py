@@ -97,7 +97,7 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
         if most > max(MISTAKEN * abs(gain[j, j]), situation.plans[name].gain / EXPECTED) * step and other != name:
             raise CommissioningError(
                 f"{step:.3g} V at the actuator of {name} move the sensor of {other} by {readable(most, 'm')} and its "
-                f"own by {readable(abs(float(gain[j, j])) * step, 'm')}: swap the cables, or name the axes otherwise"
+                f"own by {readable(abs(float(gain[j, j])) * step, 'm')}: swap the cables, or name the axes differently"
             )
     outcome = each_axis(situation, recording, volts.judge_gain, situation.in_turn(volts.small_step)[1])
     lost = lost_direction(gain, [f"actuator {name}" for name in names])
@@ -111,7 +111,7 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
         worst = names[int(np.argmin(np.diag(relative)))]
         raise CommissioningError(
             f"the relative gain of {worst} is {np.min(np.diag(relative)):.3g}: closing the other loops reverses the "
-            "sign of its gain; pair actuators and sensors otherwise"
+            "sign of its gain; pair actuators and sensors differently"
         )
     lines = list(outcome.lines)
     for name, row in zip(names, gain, strict=True):

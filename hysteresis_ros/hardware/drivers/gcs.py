@@ -449,7 +449,7 @@ class GcsParameters(Parameters):
     mode: str = parameter(
         "open_loop",
         choices=("open_loop", "servo"),
-        description="open_loop: SVA with the servo off; servo: MOV with the servo on, where a volt is servo_scale",
+        description="open_loop: SVA with the servo off; servo: MOV with the servo on, one volt is servo_scale",
         read_only=True,
     )
     open_loop_scale: float = parameter(
@@ -495,14 +495,14 @@ class GcsParameters(Parameters):
     )
     trigger_line_up: int = parameter(
         0,
-        description="digital output that triggers in the motion up, by the controller's own position compare (CTO, "
+        description="digital output that triggers during upward motion, by the controller's own position compare (CTO, "
         "TRO); 0: none",
         low=0,
         high=16,
         read_only=True,
     )
     trigger_line_down: int = parameter(
-        0, description="the same for the motion down; 0: none", low=0, high=16, read_only=True
+        0, description="the same for downward motion; 0: none", low=0, high=16, read_only=True
     )
     trigger_input: int = parameter(
         0,
@@ -771,7 +771,7 @@ class GcsDriver(Driver):
             if not len(positions):
                 continue
             if not line:
-                problem = f"has to trigger in the motion {way}, and gcs.trigger_line_{way} is 0"
+                problem = f"has to trigger during motion {way}, but gcs.trigger_line_{way} is 0"
                 raise DriverError(name, problem, "give its digital output, or another triggers.direction")
             places = np.array(positions) / self._unit
             steps = np.diff(places)

@@ -29,7 +29,7 @@ TITLE = "Benchmark of models of hysteresis"
 HEADINGS = ("model", "error (RMS)", "95 % interval", "of stroke", "largest", "parameters", "fit", "prediction")
 #: How the figures were obtained.
 JUDGED = (
-    "Each model is fitted to the train part. Of the test part it receives the input only; it runs freely from rest.",
+    "Each model is fitted to the train part. For the test part it receives only the input, and runs freely from rest.",
     "Error: RMS of measured minus predicted output over the judged samples of the test part.",
     "Interval: 95 %, by resampling blocks of the squared error that are longer than its correlation; it holds for "
     "other parts of this recording, not for other recordings.",

@@ -260,7 +260,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
     if mishap.bounded and not figures.beyond <= bounds.beyond:
         yield f"the displacement exceeds the setpoints by {100.0 * figures.beyond:.2g} % of the stroke"
     if mishap.safe and not figures.safe <= bounds.timeouts[mishap.safe]:
-        yield f"safe after {figures.safe:.3g} s, allowed are {bounds.timeouts[mishap.safe]:.3g} s"
+        yield f"safe after {figures.safe:.3g} s, at most {bounds.timeouts[mishap.safe]:.3g} s is allowed"
     if not math.isfinite(figures.recovery):
         yield "the axis does not follow setpoints again"
 

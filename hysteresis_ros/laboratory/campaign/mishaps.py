@@ -23,8 +23,8 @@ MESSAGES = (COMPOSED, PROCESSES)
 #: Names of the time-outs after which the voltage goes to safe.
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
-#: Possible surroundings of an axis: a relay of its measurements, a nearly full disk, a device instead of the simulated
-#: plant, an adjustable time of day; or none of these, but a newly started axis.
+#: What surrounds an axis in a test: a relay of its measurements, a nearly full disk, a device instead of the simulated
+#: plant, an adjustable system clock; ``FRESH``: only a newly started axis.
 RELAY, SMALL_DISK, DEVICE, CLOCK, FRESH = GRAPHS = ("relay", "small disk", "device", "clock", "fresh")
 
 #: Requirements of every fault case.
@@ -79,8 +79,8 @@ ONE_PROCESS = "all nodes are one process"
 NO_MESSAGES = "the loop is closed inside one process, without messages"
 
 _KILLED = {
-    "motion_controller": (COMMAND, "the compensator brings the voltage to safe"),
-    "hysteresis_compensator": (VOLTAGE, "the plant brings the voltage to safe"),
+    "motion_controller": (COMMAND, "the compensator brings the voltage to its safe value"),
+    "hysteresis_compensator": (VOLTAGE, "the plant brings the voltage to its safe value"),
     "plant_simulator": ("", ""),
     "reference_generator": ("", "after its restart it does not move the axis without a setpoint"),
 }
@@ -167,7 +167,7 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
     (
         "without positions",
         "names, and no positions",
-        "the voltage goes to safe as without measurements",
+        "the voltage goes to its safe value, as without measurements",
         "partial",
         (0.0,),
     ),
@@ -179,7 +179,7 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
 def _of_measurements():
     heading = "Measurement"
     for name, done, relayed, fault, amounts, safe, bounded in _MEASURED:
-        claim = "the command stays constant; if the fault lasts, it goes to safe" if safe else ""
+        claim = "the command stays constant; if the fault lasts, it goes to its safe value" if safe else ""
         yield Mishap(
             f"measurement {name}",
             heading,

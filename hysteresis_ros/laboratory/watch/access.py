@@ -121,9 +121,9 @@ class Control:
         if self._holder == page:
             return ""
         if self._holder is None:
-            return "no page has the control: take it first"
+            return "no page controls the axis: take control first"
         since = time.strftime("%H:%M:%S", time.localtime(self._since))
-        return f"another page has the control ({self._place}, since {since}): take it over first"
+        return f"another page controls the axis ({self._place}, since {since}): take it over first"
 
     def told(self, page: int) -> dict:
         """Return the state of the control in the form that is sent to a page."""

@@ -335,7 +335,7 @@ class Server:
         if not had:
             raise HysteresisError(self.control.refuses(page.number))
         await self._tell_control()
-        return "this page has the control"
+        return "this page controls the axis"
 
     async def _on_setpoint(self, page: Page, metres: float) -> str:
         await self._given("setpoint", metres, micrometres(metres), self.link.move)

@@ -59,7 +59,7 @@ class Raster(Scan):
     """
 
     width: float = parameter(description="length of the lines", unit="m", low=1e-12, high=1.0)
-    depth: float = parameter(description="distance of the first line from the last one", unit="m", low=0.0, high=1.0)
+    depth: float = parameter(description="distance between the first and the last line", unit="m", low=0.0, high=1.0)
     lines: int = parameter(128, description="lines of a frame", low=2, high=100_000)
     pattern: str = parameter(
         "trace_retrace",
@@ -77,7 +77,7 @@ class Raster(Scan):
     slow: str = parameter(
         "stepped", description="v moves only during turns, or at a constant velocity", choices=("stepped", "ramped")
     )
-    flyback: int = parameter(8, description="return of v, in durations of a line", low=1, high=100_000)
+    flyback: int = parameter(8, description="duration of the return of v, in line durations", low=1, high=100_000)
     line_rate: float = parameter(
         0.0, description="lines per second, in place of frame_rate; 0: frame_rate", unit="Hz", low=0.0, high=1e6
     )

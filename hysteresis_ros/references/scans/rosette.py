@@ -45,7 +45,7 @@ class Rosette(Scan):
     """
 
     diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
-    lines: int = parameter(127, description="number of diameters of a frame, odd", low=3, high=99_999)
+    lines: int = parameter(127, description="number of diameters per frame; odd", low=3, high=99_999)
 
     def check(self) -> Iterable[Problem]:
         """Yield a Problem for each inconsistency."""

@@ -68,7 +68,7 @@ class Spiral(Scan):
     """
 
     diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
-    turns: int = parameter(64, description="revolutions of a frame; a quarter is added", low=2, high=100_000)
+    turns: int = parameter(64, description="revolutions per frame; a quarter revolution is added", low=2, high=100_000)
     law: str = parameter("cav", description="constant angular or constant linear velocity", choices=("cav", "clv"))
     core: float = parameter(
         1.0, description="clv: revolutions around the middle at a lower velocity", low=0.05, high=1000.0

@@ -46,7 +46,7 @@ class ChirpParameters(Parameters):
 
     final_frequency: float = parameter(description="frequency at the end of the sweep", unit="Hz", low=0.0)
     duration: float = parameter(description="time of one sweep", unit="s", low=1e-9)
-    sweep: str = parameter("linear", description="law of the growing frequency", choices=("linear", "logarithmic"))
+    sweep: str = parameter("linear", description="law of the increasing frequency", choices=("linear", "logarithmic"))
 
 
 @kernel

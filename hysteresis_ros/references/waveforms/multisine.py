@@ -55,7 +55,7 @@ class MultisineParameters(Parameters):
     first_harmonic: int = parameter(1, description="lowest harmonic of frequency", low=1)
     last_harmonic: int = parameter(10, description="highest harmonic of frequency", low=1)
     harmonic_step: int = parameter(
-        1, description="distance of harmonics; 2, with first_harmonic 1, excites only odd ones", low=1
+        1, description="spacing of the harmonics; 2, with first_harmonic 1, excites only odd ones", low=1
     )
     phases: str = parameter("schroeder", description="choice of the phases", choices=("schroeder", "random"))
     seed: int = parameter(1, description="seed of the random phases", low=0)

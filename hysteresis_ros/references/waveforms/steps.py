@@ -28,7 +28,7 @@ class StepsParameters(Parameters):
     """Levels at given times; zero before the first time; the last level is held."""
 
     values: tuple[float, ...] = parameter(description="levels, added to the offset", unit="m")
-    times: tuple[float, ...] = parameter(description="growing start times of the levels", unit="s", low=0.0)
+    times: tuple[float, ...] = parameter(description="start times of the levels, increasing", unit="s", low=0.0)
     period: float = parameter(
         0.0, description="time after which the levels repeat, to the nearest sample; 0 = never", unit="s", low=0.0
     )

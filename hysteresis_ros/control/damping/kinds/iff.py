@@ -61,7 +61,7 @@ class IffParameters(Parameters):
         100.0,
         unit="rad/s",
         low=0.0,
-        description="corner ω_h of the high-pass; 0: no high-pass, the force at rest acts too",
+        description="corner ω_h of the high-pass; 0: no high-pass, so that the static force acts too",
     )
 
     def check(self):

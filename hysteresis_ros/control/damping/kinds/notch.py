@@ -46,7 +46,7 @@ class NotchParameters(Parameters):
         (), unit="Hz", low=1e-6, description="frequencies of the notches, one to four"
     )
     damping: tuple[float, ...] = parameter(
-        (), low=0.0, description="damping ratio of each numerator, that of the plant's resonance"
+        (), low=0.0, description="damping ratio of each numerator: that of the plant's resonance"
     )
     width: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each denominator")
 

@@ -435,7 +435,7 @@ def frequency_claims(configuration: Configuration) -> list[Claim]:
 
 
 def _ways(name: str, group: str, words: str, runs: dict[str, Recording], assumed, fails: str = "") -> list[Claim]:
-    """Return one row for each way of driving."""
+    """Return one row for each control scheme."""
     errors = {method: {"": auwal.mean_error(run)} for method, run in runs.items()}
     return _judged(name, group, words, errors, assumed, fails)
 

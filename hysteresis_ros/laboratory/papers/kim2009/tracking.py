@@ -266,7 +266,7 @@ def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
 
 
 def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: float) -> list[Claim]:
-    """Return the rows of the triangle through the whole axis.
+    """Return the rows for the triangle response of the whole axis, with dynamics.
 
     Units: ``stroke`` [m], ``none`` [%], ``exact`` [%].
     """
