@@ -212,14 +212,13 @@ def _ended() -> HysteresisError:
 
 @contextlib.contextmanager
 def _alone() -> Iterator[None]:
-    """Let the processes that start in the block ignore interrupts and compute with one thread each.
+    """Let the processes that start in the block get no interrupts and compute with one thread each.
 
-    The processes do not run the user's main script, so it needs no ``if __name__ == "__main__"``.
+    An interrupt of this process comes at the end of the block. The processes do not run the user's main script, so it
+    needs no ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
-    mine = threading.current_thread() is threading.main_thread()  # only the main thread may set signal handlers
-    # the process that started this one handles interrupts
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if mine else None
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit it
     given = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     sys.modules["__main__"] = types.ModuleType("__main__")
@@ -227,12 +226,11 @@ def _alone() -> Iterator[None]:
         yield
     finally:
         sys.modules["__main__"] = main
-        if mine:
-            signal.signal(signal.SIGINT, before)
         for name, value in given.items():
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:
