@@ -11,8 +11,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from coupled_stages import configured
@@ -22,9 +20,7 @@ from waiting import until
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import HALTED, PARTNER_LOST
 from hysteresis_ros.loop.stage import WITH_STAGE, Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -218,42 +214,3 @@ def test_a_refused_change_changes_nothing():
     one.await_samples(5)
     one.end()
     assert one.loop.changes_of(0) == one.loop.changes_of(1) == []
-
-
-@pytest.mark.slow
-def test_a_fused_stage_of_one_axis_gives_the_bits_of_the_axis():
-    mode = {"A": (0.9, 0.42, -0.42, 0.89), "B": (0.095, 0.42), "C": (1.0, 0.0)}
-    common = {
-        "every": {"time_mode": "fused"},
-        "plant_simulator": {"dynamics__delay": 0.0, "dynamics__sample_time": 0.0},
-    }
-    moving = {"x__reference_generator": MOVING["x__reference_generator"]}
-    configuration = configured(**common, **moving)
-    entries = tuple(entry for entry in configuration.entries if not entry[0].startswith("/y/"))
-    both = replace(configuration, entries=entries)
-    coupled = both.override(
-        "stage",
-        axes=["x"],
-        structure__inputs=1,
-        structure__outputs=1,
-        decoupling=[],
-        **{f"structure__{name}": matrix for name, matrix in mode.items()},
-    )
-    alone = replace(both, entries=tuple(entry for entry in entries if entry[0] != "/stage"))
-    single = alone.override(
-        "plant_simulator",
-        dynamics__sample_time=1e-4,
-        dynamics__input_scale=1.0,
-        **{f"dynamics__{name}": matrix for name, matrix in mode.items()},
-    )
-    found = []
-    for axis in (
-        Stage(StageParameters.from_configuration(coupled)),
-        Axis(AxisParameters.from_configuration(single, "/x")),
-    ):
-        loop = FusedLoop(axis, np.inf, 300)
-        loop.start()
-        loop.join()
-        found.append(loop.take().table)
-    for signal in ("setpoint", "reference", "command", "voltage", "displacement", "measured", "applied"):
-        np.testing.assert_array_equal(*(table[signals.place(signal)] for table in found), err_msg=signal)
