@@ -231,12 +231,11 @@ def test_three_axes_that_do_not_couple_are_the_axes_that_they_are_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "expression", ["whole_run(400)", "internal_run(400)", "adapting_run(400)", "whole_run(400, **fed())"]
-)
-def test_the_compiled_loop_has_the_bits_of_its_python_form(expression, tmp_path):
-    found = eval(expression)
-    np.testing.assert_array_equal(bits(found), bits(interpreted("test_coupled_stage", expression, tmp_path)))
+def test_the_compiled_loop_has_the_bits_of_its_python_form(tmp_path):
+    runs = "whole_run(400)", "internal_run(400)", "adapting_run(400)", "whole_run(400, **fed())"
+    others = interpreted("test_coupled_stage", f"[{', '.join(runs)}]", tmp_path)
+    for expression, other in zip(runs, others, strict=True):
+        np.testing.assert_array_equal(bits(eval(expression)), bits(other), err_msg=expression)
 
 
 @pytest.mark.slow
