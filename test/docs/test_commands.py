@@ -14,6 +14,7 @@ from __future__ import annotations
 import pathlib
 import re
 import shlex
+import types
 
 import click
 import pytest
@@ -21,6 +22,7 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import COMMANDS, main
 from hysteresis_ros.designs import stage_identification
+from hysteresis_ros.identification import workflow
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
@@ -125,9 +127,12 @@ def run_commands(page: str) -> int:
 def test_the_guide_runs(page, tmp_path, monkeypatch):
     """First its commands, then its Python code.
 
-    The loops of an identified stage stay open; test/identification/test_stage_identification.py designs them.
+    The loops of an identified stage stay open, and its actuators have no linear dynamics of their own, which take
+    seconds to find; test/identification/test_stage_identification.py runs the same commands with both.
     """
     monkeypatch.chdir(tmp_path)
+    static = types.SimpleNamespace(identify=lambda data, model, linear: workflow.identify(data, model, linear="none"))
+    monkeypatch.setattr(stage_identification, "workflow", static)
     monkeypatch.setattr(stage_identification, "design_identified", lambda text, *given: (text, {}, []))
     done = run_commands(page)
     names: dict = {}
