@@ -115,7 +115,7 @@ def test_wheel_holds_modules_shares_and_executables(wheel):
 
 
 def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):
-    options = ["--no-deps", "--no-index", "--ignore-installed", "--prefix", tmp_path]
+    options = ["--no-deps", "--no-index", "--no-compile", "--ignore-installed", "--prefix", tmp_path]
     run(sys.executable, "-m", "pip", "install", *options, wheel, cwd=tmp_path)
     check_prefix(tmp_path)
     for name in EXECUTABLES:
@@ -131,7 +131,7 @@ def test_colcon_builds_the_package(tree, tmp_path, options):
         pytest.skip("colcon with its ROS extensions is not installed")
     bases = ["--base-paths", tree, "--build-base", tmp_path / "build", "--install-base", tmp_path / "install"]
     command = [colcon, "--log-base", tmp_path / "log", "build", *bases, *options]
-    run(*command, cwd=tmp_path, COLCON_HOME=str(tmp_path))
+    run(*command, cwd=tmp_path, COLCON_HOME=str(tmp_path), PYTHONDONTWRITEBYTECODE="1")  # no test of bytecode
     prefix = tmp_path / "install" / "hysteresis_ros"
     if options:
         assert relative_files(prefix) >= SHARES | {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
