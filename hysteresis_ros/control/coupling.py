@@ -246,13 +246,21 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
 def _peak(function, angles, place: int) -> tuple[float, float]:
     """Return angle and value of the maximum near a point of the grid, by golden-section search."""
     low, high = angles[max(place - 1, 0)], angles[min(place + 1, len(angles) - 1)]
-    best = (float(angles[place]), float(function(angles[place])))
     part = 0.5 * (math.sqrt(5.0) - 1.0)
+
+    def at(angle) -> tuple[float, float]:
+        return float(angle), float(function(angle))
+
+    best, first, second = at(angles[place]), at(high - part * (high - low)), at(low + part * (high - low))
     for _ in range(STEPS):
-        first, second = high - part * (high - low), low + part * (high - low)
-        values = function(first), function(second)
-        best = max(best, (first, float(values[0])), (second, float(values[1])), key=lambda item: item[1])
-        low, high = (first, high) if values[1] > values[0] else (low, second)
+        best = max(best, first, second, key=lambda item: item[1])
+        # one of the two points remains one of the next two
+        if second[1] > first[1]:
+            low, first = first[0], second
+            second = at(low + part * (high - low))
+        else:
+            high, second = second[0], first
+            first = at(high - part * (high - low))
     return best
 
 

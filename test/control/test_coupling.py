@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.control.coupling import (
+    _peak,
     disk_margins,
     lost_direction,
     relative_gain_array,
@@ -102,6 +103,15 @@ def test_singular_values_are_those_of_python_control():
     expected = control.singular_values_response(control.ss(loop.A, loop.B, loop.C, loop.D, 1.0), angles)
     found = singular_values(loop.response(np.exp(1j * angles)))
     np.testing.assert_allclose(found, expected.magnitude[:, 0, :].T, rtol=1e-9)
+
+
+@pytest.mark.parametrize("place", [0, 1, 4])
+def test_a_peak_is_found_between_the_points_of_the_grid(place):
+    """And at its first and last point."""
+    grid = np.linspace(0.0, 1.0, 5)
+    top = {0: 0.0, 1: 0.17, 4: 1.0}[place]
+    assert _peak(lambda angle: 2.0 - (angle - top) ** 2, grid, place) == pytest.approx((top, 2.0), abs=1e-7)
+    assert _peak(lambda angle: 2.0 - abs(angle - 0.61), grid, 2) == pytest.approx((0.61, 2.0), abs=1e-7)
 
 
 def test_an_integrator_has_its_closed_form():
