@@ -289,11 +289,23 @@ def _scaled(matrix, logs) -> float:
     return float(np.linalg.norm(matrix * scales[:, None] / scales, 2))
 
 
+def _up_to_two(matrices) -> np.ndarray:
+    """Return the structured singular values of complex matrices, shape (F, n, n) with n ≤ 2, without a search.
+
+    A scaling keeps the product of both singular values, so the largest one is least where the sum of their squares is:
+    where the two entries beside the diagonal have the same magnitude.
+    """
+    equal = np.array(matrices)
+    if equal.shape[1] == 2:
+        equal[:, 0, 1] = equal[:, 1, 0] = np.sqrt(equal[:, 0, 1] * equal[:, 1, 0])
+    return np.linalg.norm(equal, 2, axis=(1, 2))
+
+
 def _structured(matrix, accuracy: float = KEPT) -> float:
     """Return the bound on the structured singular value of a matrix for independent complex factors."""
+    if len(matrix) <= 2:
+        return float(_up_to_two(matrix[None])[0])
     (logs,), (size,) = _balanced(matrix[None])
-    if len(matrix) == 1:
-        return float(size)
     from scipy.optimize import minimize
 
     options = {"xatol": math.sqrt(accuracy), "fatol": accuracy * size, "maxiter": 400 * len(matrix)}
@@ -305,8 +317,8 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 def _worst(grid) -> int:
     """Return the index of the largest structured singular value; matrices with a smaller balanced bound are skipped."""
-    if grid.shape[1] == 1:
-        return int(np.argmax(np.abs(grid[:, 0, 0])))
+    if grid.shape[1] <= 2:
+        return int(np.argmax(_up_to_two(grid)))
     _, sizes = _balanced(grid)
     best, found = -1.0, 0
     for place in np.argsort(-sizes):
