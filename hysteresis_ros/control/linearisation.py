@@ -96,7 +96,20 @@ def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
 
     ParameterError: no controller can be built from the parameters.
     """
-    controller, plant = linear_loop(parameters, sample_time)
+    return behind_damping(parameters, sample_time, *linear_loop(parameters, sample_time))
+
+
+def behind_damping(parameters, sample_time: float, controller: StateSpace, plant: StateSpace):
+    """Return a law and the damping of the parameters as one system, and the undamped model.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    controller, plant : StateSpace
+        The law and its model, as :func:`linear_loop` returns them.
+    """
     if parameters.damping.source == NOTHING:
         return controller, plant
     dynamics, damping = parameters.model.dynamics, parameters.damping

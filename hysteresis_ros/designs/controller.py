@@ -23,11 +23,11 @@ from hysteresis_ros.configuration import STAGE, Configuration, dump_configuratio
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, design_of
 from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview, mean_delay
-from hysteresis_ros.control.laws.pid import LITTLE_DAMPING
+from hysteresis_ros.control.laws.pid import LITTLE_DAMPING, pid_state_space
 from hysteresis_ros.control.learning import LearningParameters
-from hysteresis_ros.control.linearisation import linear_loop, margins, whole_loop
-from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins, judge
-from hysteresis_ros.control.uncertainty import KEPT, Borne, ResponseUncertainty, Uncertainty
+from hysteresis_ros.control.linearisation import behind_damping, margins, whole_loop
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins, judge, plant_state_space
+from hysteresis_ros.control.uncertainty import KEPT, ResponseUncertainty, Uncertainty
 from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
@@ -36,6 +36,7 @@ from hysteresis_ros.identification.safe_motion import smooth_approach, with_comm
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
+from hysteresis_ros.models.linear import StateSpace
 
 NODE = "motion_controller"
 #: First lines of the comments that a new design replaces: LEARNING for a design of learning, HEADERS for any design.
@@ -188,24 +189,16 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     return ResponseUncertainty(frequencies, relative, known_to, crossover, gain)
 
 
-def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return the limit on the loop of a design that results from the known accuracy of the response.
+def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertainty, sample_time: float) -> bool:
+    """Return whether a loop is stable on all plants of an identification and keeps its margins at the largest gain.
 
-    Units: ``sample_time`` [s].
+    ``loop`` consists of controller and plant, see :func:`.whole_loop`. Units: ``sample_time`` [s].
     """
-    return response.borne_by(*whole_loop(found.parameters, sample_time), sample_time)
-
-
-def is_certain(found: Designed, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design is stable on all plants of an identification and keeps its margins at the largest gain.
-
-    Units: ``sample_time`` [s].
-    """
-    if borne(found, response, sample_time).distance < KEPT:
+    controller, plant = loop
+    if response.borne_by(controller, plant, sample_time).distance < KEPT:
         return False
     if response.gain == 1.0:
         return True
-    controller, plant = whole_loop(found.parameters, sample_time)
     return judge(controller, plant.scaled(response.gain), sample_time, with_bandwidth=False).meets()
 
 
@@ -226,21 +219,21 @@ def rolled_off_design(
     largest bandwidth [Hz].
     """
     own = first.parameters.before_damping(sample_time)
-    unit = 1.0 / (own.model.dynamics.matrices.dc_gain * sample_time)
-    aimed = replace(AIMED, command_noise_gain=quiet)
+    dynamics = own.model.dynamics
+    unit, scale = 1.0 / (dynamics.matrices.dc_gain * sample_time), dynamics.resolved_input_scale / dynamics.output_scale
+    plant, aimed = plant_state_space(dynamics), replace(AIMED, command_noise_gain=quiet)
     plain = replace(own.pid, Kp=0.0, Kd=0.0, setpoint_weight=1.0, derivative_filter=0.0)
 
     def found_with(gain: float, corner: float) -> Designed | None:
         gains = replace(plain, Ki=float(f"{unit * gain:.6g}"), roll_off=corner)
-        changed: dict = {"pid": gains}
-        found = Designed(replace(first.parameters, **changed), first.margins)
-        try:
-            loop = linear_loop(found.parameters, sample_time)
-            judged = judge(*loop, sample_time, with_bandwidth=bandwidth is not None)
-        except ParameterError:  # unstable on the model
+        loop = pid_state_space(gains, sample_time).scaled(scale), plant
+        judged = judge(*loop, sample_time, with_bandwidth=bandwidth is not None)
+        if not judged.meets(aimed) or (bandwidth is not None and judged.bandwidth > bandwidth):
             return None
-        slow = bandwidth is None or judged.bandwidth <= bandwidth
-        return found if slow and judged.meets(aimed) and is_certain(found, response, sample_time) else None
+        if not is_certain(behind_damping(first.parameters, sample_time, *loop), response, sample_time):
+            return None
+        changed: dict = {"pid": gains}
+        return Designed(replace(first.parameters, **changed), first.margins)
 
     best, largest = None, 0.0
     for corner in np.pi / sample_time * 10.0 ** np.linspace(-CORNER_DECADES, -0.3, int(CORNERS * CORNER_DECADES)):
@@ -284,7 +277,11 @@ def _pid(
     own = first.parameters.before_damping(sample_time).model.dynamics.state_space
     light = [damping for _, damping in modes(own.poles, sample_time) if damping < LITTLE_DAMPING]
     # a pid cancels one mode; an uncertain pid is designed again anyway
-    if asked is not None or len(light) < 2 or not is_certain(first, response, sample_time):
+    if (
+        asked is not None
+        or len(light) < 2
+        or not is_certain(whole_loop(first.parameters, sample_time), response, sample_time)
+    ):
         return first
     rolled = rolled_off_design(first, quiet, response, sample_time)
     return first if rolled is None or rolled.margins.bandwidth < WORTH * first.margins.bandwidth else rolled
@@ -307,9 +304,10 @@ def certain_design(
     """
     if response is None:
         return first
-    certain = borne(first, response, sample_time)
-    if is_certain(first, response, sample_time):
+    loop = whole_loop(first.parameters, sample_time)
+    if is_certain(loop, response, sample_time):
         return first
+    certain = response.borne_by(*loop, sample_time)
 
     observes = request.q is None and "kalman" in first.parameters.law.groups
     observers = OBSERVERS if observes else (request.q,)
@@ -320,7 +318,7 @@ def certain_design(
         for q in observers:
             with contextlib.suppress(ParameterError):  # the law cannot achieve this bandwidth
                 found = design(bandwidth, q)
-                if is_certain(found, response, sample_time):
+                if is_certain(whole_loop(found.parameters, sample_time), response, sample_time):
                     return found
         return None
 
@@ -355,7 +353,7 @@ def certain_design(
 def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
     """Return whether a design tolerates unknown dynamics; True if there is no design."""
     with contextlib.suppress(ParameterError):
-        found = borne(design(bandwidth, q), response, sample_time)
+        found = response.borne_by(*whole_loop(design(bandwidth, q).parameters, sample_time), sample_time)
         return found.distance >= KEPT or found.frequency <= response.known_to
     return True
 

@@ -61,7 +61,9 @@ References
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -473,30 +475,14 @@ def design_pid(
     ParameterError
         ``bandwidth`` is larger than the model allows with the margins required of every design.
     """
-    zeros = slowest_poles(dynamics.state_space)
-    cut_off = given.derivative_filter
-    if len(zeros) == 2 and cut_off == 0.0:
-        cut_off = FILTER * 2.0 * np.pi / sample_time
-    scale = dynamics.resolved_input_scale / dynamics.output_scale
-    plants = plants or (PossiblePlant(plant_state_space(dynamics)),)
-    if bandwidth is not None:
-        plants, aimed = plants[:1], REQUIRED
-
-    def gains(g):
-        Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
-        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0, "roll_off": 0.0}
-        return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
-
-    def judged(g, **options):
-        return judge_worst(pid_state_space(gains(g), sample_time).scaled(scale), plants, sample_time, **options)
-
-    def allowed(g):
-        return judged(g, required=aimed, with_bandwidth=False)
-
-    leading = dynamics.matrices.dc_gain
-    most = _largest_gain(allowed, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
     if bandwidth is None:
-        return gains(most)
+        return _cancelling(given, dynamics, sample_time)(_largest(given, dynamics, sample_time, plants, aimed))
+    plants, aimed = plants[:1], REQUIRED
+    gains, most = _cancelling(given, dynamics, sample_time), _largest(given, dynamics, sample_time, plants, aimed)
+
+    def judged(g):
+        return _judged(gains(g), dynamics, sample_time, plants)
+
     reachable = judged(most).bandwidth
     if not bandwidth <= reachable:
         remedy = (
@@ -514,6 +500,38 @@ def design_pid(
         if high - low < 1e-6 * high:
             break
     return gains(most * high)
+
+
+def _cancelling(given: PidParameters, dynamics, sample_time: float) -> Callable[[float], PidParameters]:
+    """Return the PID that cancels the slowest poles of a model, as a function of the gain g of its numerator."""
+    zeros, cut_off = slowest_poles(dynamics.state_space), given.derivative_filter
+    if len(zeros) == 2 and cut_off == 0.0:
+        cut_off = FILTER * 2.0 * np.pi / sample_time
+
+    def gains(g):
+        Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
+        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0, "roll_off": 0.0}
+        return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
+
+    return gains
+
+
+def _judged(gains: PidParameters, dynamics, sample_time: float, plants, **options):
+    """Return the worst figures over the plants, or those of the model without plants."""
+    scale = dynamics.resolved_input_scale / dynamics.output_scale
+    controller = pid_state_space(gains, sample_time).scaled(scale)
+    return judge_worst(controller, plants or (PossiblePlant(plant_state_space(dynamics)),), sample_time, **options)
+
+
+@functools.lru_cache(maxsize=4)  # a search over bandwidths asks for the same gain each time
+def _largest(given: PidParameters, dynamics, sample_time: float, plants, aimed: Requirements) -> float:
+    """Return the largest gain g of the numerator with which the requirements are met on all plants."""
+    gains, leading = _cancelling(given, dynamics, sample_time), dynamics.matrices.dc_gain
+
+    def judged(g):
+        return _judged(gains(g), dynamics, sample_time, plants, required=aimed, with_bandwidth=False)
+
+    return _largest_gain(judged, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
 
 
 def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
