@@ -264,9 +264,9 @@ def test_the_slow_axis_of_a_raster_gets_a_slow_law_unless_a_bandwidth_is_request
 
 
 def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
-    configuration = load_configuration("steering_mirror")
+    configuration = load_configuration("xy_scanner")
     parameters = StageParameters.from_configuration(configuration)
-    found = design_controllers(parameters, DesignRequest("pid", bandwidth=0.5), {})
+    found = design_controllers(parameters, DesignRequest("pid", bandwidth=50.0, damping="none"), {})
     changed = {name: replace(one, together="no damping: ppf does not suffice") for name, one in found.items()}
     line = "# All loops together: no damping: ppf does not suffice.\n"
     assert controllers_file(configuration, changed, "--controller pid").count(line) == 1
