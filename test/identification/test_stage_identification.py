@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_support import hysteresis, hysteresis_process
+from command_support import hysteresis
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "loop"))
 from coupled_stages import as_values, configured, internal_structure  # noqa: E402
@@ -536,7 +536,7 @@ def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(tr
     page = truth.with_name("page.html")
     words = ("--loops", truth.with_name("decaying.npz"), "--into", truth, "-o", closed, "--json", figures)
     words += ("--report", page)
-    said = hysteresis_process("identify", truth.with_name("multisine.npz"), *words)
+    said = hysteresis("identify", truth.with_name("multisine.npz"), *words)
     assert "hammerstein, order 4, 1 samples of delay before it" in said
     assert "warning" not in said
     found = json.loads(figures.read_text())
