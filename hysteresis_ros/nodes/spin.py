@@ -75,6 +75,9 @@ LOOK = 0.05
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
+#: Largest number of callbacks that an executor still runs for nodes that were released.
+MOST_SCHEDULED = 100
+
 #: Module whose functions the compiler calls back.
 COMPILER = "llvmlite.binding.executionengine"
 
@@ -170,6 +173,10 @@ def _release(executor, nodes: list, claims: list) -> None:
     """Release the nodes, their DDS entities and their names."""
     for node in nodes:
         node.release()  # also after an exception: no thread may continue to publish
+    if executor is not None:
+        # an executor keeps a node, and the node its participant, while a callback is scheduled
+        for _ in range(MOST_SCHEDULED):
+            executor.spin_once(timeout_sec=0.0)
     for node in nodes:
         if executor is not None:
             executor.remove_node(node)
