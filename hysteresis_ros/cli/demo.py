@@ -64,8 +64,9 @@ def demo(output, factor):
     with entered():  # isolated from any running axis of the user
         _compile(axes.values(), progress)
         _run_live(axes, folder, progress)
-        proof = _run_processes(axes[WITH], folder, progress)
-    _report(folder, axes, proof, progress)
+        _run_processes(axes[WITH], folder, progress)
+    runs, proof = _read(folder, progress)
+    _report(folder, axes, runs, proof, progress)
 
 
 def _new_folder(output: str) -> pathlib.Path:
@@ -181,43 +182,45 @@ def _publisher_command(namespace: str) -> list[str]:
 # -- as processes ------------------------------------------------------------------------------------------------
 
 
-def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
-    """Run the triangle with four processes in lockstep, and compare all runs with their offline twins."""
-    from hysteresis_ros.errors import HysteresisError
+def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> None:
+    """Run the triangle with four processes in lockstep."""
     from hysteresis_ros.nodes.launcher import Graph
 
     axis = axis.with_time_mode("lockstep").with_duration(LOCKSTEP)
     with progress.during("four processes in lockstep"), Graph([axis], record=folder / PROCESSES) as graph:
         graph.wait()
+
+
+def _read(folder: pathlib.Path, progress: Progress) -> tuple[dict, list[str]]:
+    """Return all recordings by the names of their folders, and lines on their comparison with their offline twins."""
+    from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.recordings.files import load_run
+
     with progress.during("the offline twins"):
-        found = {name: _unlike_twin(folder / name) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
-    for _, unlike in found.values():
-        if unlike:
-            raise HysteresisError(unlike)
-    counts = ", ".join(f"{name} {samples}" for name, (samples, _) in found.items())
-    return [f"all samples equal the offline twin bit for bit, none missing: {counts}", _same_as_live(folder)]
+        runs = {name: load_run(folder / name, further=True) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
+        for name, run in runs.items():
+            if unlike := _unlike_twin(folder / name, run):
+                raise HysteresisError(unlike)
+    counts = ", ".join(f"{name} {run.time.size}" for name, run in runs.items())
+    proof = f"all samples equal the offline twin bit for bit, none missing: {counts}"
+    return runs, [proof, _same_as_live(runs[PROCESSES], runs[WITH])]
 
 
-def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
-    """Return the number of samples of a recorded run, and its differences from the offline twin (empty when equal)."""
+def _unlike_twin(bag: pathlib.Path, run) -> str:
+    """Return the differences of a recorded run from its offline twin; empty when they are equal."""
     from hysteresis_ros.cli.recording import unlike
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.loop.reach import single_axis
     from hysteresis_ros.loop.simulation import differences
-    from hysteresis_ros.recordings.files import load_run
 
-    run = load_run(bag, further=True)
     axis = single_axis(parse_configuration(run.configuration, str(bag)), run.metadata["namespace"])
-    return run.time.size, unlike(bag, run, differences(run, axis))
+    return unlike(bag, run, differences(run, axis))
 
 
-def _same_as_live(folder: pathlib.Path) -> str:
+def _same_as_live(processes, loop) -> str:
     """Return a line that states whether processes and loop produced the same displacement."""
     import numpy as np
 
-    from hysteresis_ros.recordings.files import load_run
-
-    processes, loop = (load_run(folder / name, further=True) for name in (PROCESSES, WITH))
     size = processes.time.size
     if loop["skipped"][:size].any():
         return "four processes and one loop: the samples differ, because the loop had to skip some"
@@ -228,7 +231,7 @@ def _same_as_live(folder: pathlib.Path) -> str:
 # -- results -------------------------------------------------------------------------------------------------------
 
 
-def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progress) -> None:
+def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], progress: Progress) -> None:
     """Write picture, report and figures, if their libraries are installed, and print the results."""
     import numpy as np
 
@@ -239,9 +242,8 @@ def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progre
     from hysteresis_ros.analysis.tables import format_parts
     from hysteresis_ros.errors import MissingExtraError
     from hysteresis_ros.loop.simulation import simulate
-    from hysteresis_ros.recordings.files import load_run
 
-    runs = {name: load_run(folder / name, further=True) for name in axes}
+    runs = {name: runs[name] for name in axes}
     with progress.during("the same run offline, where no deadline can be missed"):
         alone = {name: simulate(axes[name]) for name in (WITHOUT, WITH)}
     figures = compute_metrics(runs[STEPS])
