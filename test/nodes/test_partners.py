@@ -86,7 +86,8 @@ def test_restarted_node_cannot_silently_rejoin(running, processes, victim):
     told = [process for process in others if victim in process.output]
     assert told and all("start or reset all nodes together" in process.output for process in told)
     # a node that checks late may see only that the informed node has exited
-    assert all("vanished" in process.output for process in others if process not in told)
+    unaware = [process.output for process in others if process not in told]
+    assert all("vanished" in output for output in unaware), unaware
 
 
 def test_two_axes_side_by_side_equal_their_twins(processes, tmp_path):
