@@ -193,7 +193,7 @@ def test_each_axis_is_its_own(stand):
         ("SVO 1 1\nMOV 1 90", {}, r"is in motion \(#5\)"),
         ("fault busy:0:9", {}, "is busy with another task; wait"),
         ("fault error:0:9:602", {}, "error 602: a fault in the high-voltage supply; remove the cause"),
-        ("fault silent:0:9", {}, r"does not answer '\*IDN\?' \(timed out\)"),
+        ("fault silent:0:9", {"timeout": LOST}, r"does not answer '\*IDN\?' \(timed out\)"),
         ("fault cut:0:9", {}, r"has closed the connection at '\*IDN\?': it is off, or in use by another program"),
     ],
 )
