@@ -29,7 +29,7 @@ from typing import Any, ClassVar, get_type_hints
 import yaml
 
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean, shortened
-from hysteresis_ros.files import FAST_LOADER, BoundsError, read_text, read_yaml
+from hysteresis_ros.files import FAST_DUMPER, FAST_LOADER, BoundsError, read_text, read_yaml
 
 #: Types of a ROS 2 parameter and their names for users.
 TYPE_NAMES = {
@@ -609,7 +609,7 @@ def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple
     return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
 
 
-class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # libyaml where it is present
+class _Dumper(FAST_DUMPER):
     """YAML that PyYAML and ROS read as the same numbers: every double has a decimal point, and there are no aliases."""
 
     def ignore_aliases(self, data) -> bool:

@@ -160,6 +160,7 @@ LARGEST, MOST_VALUES, DEEPEST = 16 * 2**20, 50_000, 50
 
 #: libyaml, which is six times as fast, if PyYAML was built with it.
 FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+FAST_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 #: Errors of YAML and of its constructors, e.g. for 2001-99-99, !!int x, an integer of 5000 digits.
 _UNFIT = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError)

@@ -38,6 +38,8 @@ from mcap.records import (
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
+from hysteresis_ros.files import FAST_DUMPER
+
 MAGIC = b"\x89MCAP0\r\n"
 
 #: Header of a record: opcode and length; the content follows (https://mcap.dev/spec).
@@ -275,7 +277,7 @@ def information(files: Sequence[FileInformation], storage: str, custom: dict[str
 
 def text_of(described: dict) -> str:
     """Return the content of :func:`information` as YAML."""
-    return yaml.safe_dump(described, sort_keys=False, allow_unicode=True)
+    return yaml.dump(described, Dumper=FAST_DUMPER, sort_keys=False, allow_unicode=True)
 
 
 def write_metadata(folder: pathlib.Path, described: dict) -> None:
