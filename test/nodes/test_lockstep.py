@@ -21,7 +21,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import REAL, SINE, axis_parameters, compose, shortened, until, write_axis  # noqa: E402
 
-SAMPLES = 900
+SAMPLES = 450
 PER_SAMPLE = (
     *("/joint_states", "/reference", "/command", "/applied", "/voltage", "/plant_simulator/state"),
     *("/reference_generator/state", "/motion_controller/state", "/hysteresis_compensator/state"),
