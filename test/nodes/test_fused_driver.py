@@ -108,12 +108,12 @@ from hysteresis_ros.hardware.driver import Capabilities, Driver, HardwareDriver,
 
 @dataclass(frozen=True)
 class Options(Parameters):
-    folder: str = parameter("", description="folder of its files")
+    name: str = parameter("", description="folder of its files")
 
 
 class Plugged(Driver):
     def open(self, parameters, sample_rate):
-        folder = pathlib.Path(parameters.folder)
+        folder = pathlib.Path(parameters.name)
         self.unplugged, self.log, self.voltage = folder / "unplugged", (folder / "log").open("w", buffering=1), 0.0
         return Capabilities(1, 1, 0.0, 100.0, highest_rate=1e4)
 
@@ -148,9 +148,10 @@ def test_a_driver_in_python_is_fused_above_300_hz_and_made_safe_before_a_start(p
     from std_msgs.msg import Float64
     from std_srvs.srv import Trigger
 
-    (tmp_path / "plugged.py").write_text(PLUGGED)
-    axis, bag = written(tmp_path, "", "./plugged.py"), tmp_path / "bag"
-    (tmp_path / "axis.yaml").write_text((tmp_path / "axis.yaml").read_text().replace("'name='", f"'folder={tmp_path}'"))
+    folder, bag = tmp_path / "device", tmp_path / "bag"
+    folder.mkdir()
+    (folder / "plugged.py").write_text(PLUGGED)
+    axis = written(folder, f"{folder}", "./plugged.py")
     joints = observer.listen(JointState, "/joint_states")
     setpoint = observer.talk(Float64, "/setpoint")
     up = processes.command("up", axis, "--record", str(bag), "--verify")
@@ -158,16 +159,16 @@ def test_a_driver_in_python_is_fused_above_300_hz_and_made_safe_before_a_start(p
     assert "fused" in up.output
     setpoint.publish(Float64(data=5.0e-6))
     until(lambda: joints[-1].position[0] > 4.0e-6, what="the stage near 50 V")
-    (tmp_path / "unplugged").touch()
+    (folder / "unplugged").touch()
     until(lambda: joints[-1].header.frame_id == "tripped", what="the axis to stop")
-    log = (tmp_path / "log").read_text().split()
+    log = (folder / "log").read_text().split()
     assert float(log[-1]) > 40.0, "it could not be made safe"
-    (tmp_path / "unplugged").unlink()
+    (folder / "unplugged").unlink()
     assert observer.call(Trigger, "/plant_simulator/start", Trigger.Request()).success
     until(lambda: joints[-1].header.frame_id == "" and joints[-1].position[0] > 4.0e-6, what="the axis to return")
     code, _ = up.leave(signal.SIGINT)
     assert code == 0 and "equal" in up.output, up.output
-    log = (tmp_path / "log").read_text().split()
+    log = (folder / "log").read_text().split()
     voltages = [0.0 if word == "safe" else float(word) for word in log]
     steps = [after - before for before, after in zip(voltages, voltages[1:], strict=False)]
     # one step down only by make_safe of the driver
