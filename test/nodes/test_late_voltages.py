@@ -215,13 +215,12 @@ def started_soon(monkeypatch):
         monkeypatch.setattr(module, "STARTING", 0.5)
 
 
-@pytest.mark.parametrize("pause", [0.03, 0.07])
-def test_a_short_halt_of_the_process_is_no_lost_partner(started_soon, late_axis, pause):
+def test_a_short_halt_of_the_process_is_no_lost_partner(started_soon, late_axis):
     """A garbage collection in a large process takes this long: messages wait in queues, and no partner is lost."""
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=-1)
     settled(plant)
     more(plant, 80)  # 0.8 s, longer than the time in which new partners are tolerated
-    for _ in range(6):
+    for pause in (*(0.03,) * 6, *(0.07,) * 6):
         ctypes.PyDLL(None).usleep(int(1e6 * pause))  # it holds the lock of the interpreter
         more(plant, 20)
         assert not plant.part.lost and not plant.part.tripped
