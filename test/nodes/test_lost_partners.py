@@ -85,9 +85,8 @@ class Graph:
 
     def at_work(self) -> None:
         """Wait until all nodes count as running, longer than the time in which nodes start."""
-        begun = time.monotonic()
-        until(lambda: time.monotonic() > begun + STARTING + 0.5, what="the nodes to be at work")
-        self.more(AT_WORK)
+        begun, since = time.monotonic() + STARTING + 0.5, len(self.states)
+        until(lambda: time.monotonic() > begun and len(self.states) > since + AT_WORK, what="the nodes to be at work")
 
     def be_patient(self) -> None:
         """Prevent parts from going to safe while a machine that starts more processes is blocked for a moment."""
@@ -123,30 +122,37 @@ def graph(processes, observer, tmp_path, request):
     return Graph(processes, observer, tmp_path, request.param)
 
 
-@pytest.mark.parametrize(
-    ("graph", "victims"),
-    [(10.0, ("motion_controller", "hysteresis_compensator", "reference_generator")), (50.0, ("motion_controller",))],
-    indirect=["graph"],
-    ids=["10 Hz", "50 Hz"],
-)
-def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph, victims):
-    for victim in victims:
-        graph.at_work()
-        graph.nodes[victim].kill()
-        graph.until_safe()
-        until(lambda: graph.tripped() == PARTNER_LOST, what="the reason")
-        said = graph.nodes["plant_simulator"].output.replace(" hysteresis", " /hysteresis")
-        assert f"/{victim} is lost" in said
-        answer = graph.start()
-        assert not answer.success and victim in answer.message and graph.tripped()
-        restarted_moves_nothing(graph, victim)
-        until(lambda: graph.start().success, what=f"the restarted {victim} heard")
-        if victim == "reference_generator":  # it stays where it found the axis until a setpoint arrives
-            # the sample after the start tells it that the axis continues
-            until(lambda: graph.observer.trigger("/reference_generator/start").success, what="that it works")
-        graph.until_at(SETPOINT)
+@pytest.mark.parametrize("graph", [10.0], indirect=True)
+def test_a_killed_node_stops_a_slow_axis_until_a_person_starts_it(graph):
+    a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, "motion_controller")
+    for victim in ("motion_controller", "hysteresis_compensator"):
+        killed_stops_the_axis_until_a_person_starts_it(graph, victim)
+
+
+@pytest.mark.parametrize("graph", [50.0], indirect=True)
+def test_a_killed_or_halted_node_gives_the_axis_to_nobody_until_a_person_starts_it(graph, domain):
+    killed_stops_the_axis_until_a_person_starts_it(graph, "reference_generator")
+    a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain)
     restarted_plant_stands_still(graph)
     reset_says_that_a_partner_is_still_lost(graph)
+
+
+def killed_stops_the_axis_until_a_person_starts_it(graph, victim: str) -> None:
+    """Kill a node at work, restart it, and start the axis."""
+    graph.at_work()
+    graph.nodes[victim].kill()
+    graph.until_safe()
+    until(lambda: graph.tripped() == PARTNER_LOST, what="the reason")
+    said = graph.nodes["plant_simulator"].output.replace(" hysteresis", " /hysteresis")
+    assert f"/{victim} is lost" in said
+    answer = graph.start()
+    assert not answer.success and victim in answer.message and graph.tripped()
+    restarted_moves_nothing(graph, victim)
+    until(lambda: graph.start().success, what=f"the restarted {victim} heard")
+    if victim == "reference_generator":  # it stays where it found the axis until a setpoint arrives
+        # the sample after the start tells it that the axis continues
+        until(lambda: graph.observer.trigger("/reference_generator/start").success, what="that it works")
+    graph.until_at(SETPOINT)
 
 
 def restarted_moves_nothing(graph, victim: str) -> None:
@@ -157,13 +163,12 @@ def restarted_moves_nothing(graph, victim: str) -> None:
     if victim == "motion_controller":
         heard.clear()
         until(lambda: heard, what="commands of the restarted controller")
-    graph.more(20)
+    graph.more(10)
     assert graph.tripped() and abs(graph.voltage()) < 0.01
 
 
 def restarted_plant_stands_still(graph) -> None:
     """Kill the plant and restart it: it stands still until a person starts it."""
-    graph.at_work()
     graph.nodes["plant_simulator"].kill()
     until(lambda: "plant_simulator is lost" in graph.nodes["motion_controller"].output, what="the loss")
     graph.states.clear()
@@ -176,7 +181,6 @@ def restarted_plant_stands_still(graph) -> None:
 
 def reset_says_that_a_partner_is_still_lost(graph) -> None:
     """Kill the controller and reset the plant: the reply names the controller, and the axis stays safe."""
-    graph.at_work()
     graph.nodes["motion_controller"].kill()
     graph.until_safe()
     answer = graph.observer.trigger("/plant_simulator/reset")
@@ -203,21 +207,19 @@ def test_a_node_killed_as_soon_as_the_axis_runs_stops_it_too(graph, victim):
     graph.nodes[victim] = graph.processes.node(victim, graph.path)
     until(lambda: graph.states and graph.tripped(), what="the axis stopped")
     until(lambda: "active" in graph.nodes[victim].output, what="the restarted node")
-    graph.more(20)
+    graph.more(10)
     assert graph.tripped() and max(abs(state.position[2]) for state in graph.states) < 0.01
     until(lambda: graph.start().success, what="the start")
 
 
-@pytest.mark.parametrize("graph", [10.0], indirect=True)
-@pytest.mark.parametrize("victim", ["motion_controller"])
-def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, victim):
+def a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, victim: str) -> None:
     """At most as long as nodes take to start: messages of its new process are not a continuation."""
     began = len(graph.states)
     graph.nodes[victim].kill()
     graph.nodes[victim] = graph.processes.node(victim, graph.path)
     graph.until_safe()
     until(lambda: "active" in graph.nodes[victim].output, what="the restarted node")
-    graph.more(20)
+    graph.more(10)
     assert graph.tripped() == PARTNER_LOST and abs(graph.voltage()) < 0.01
     stopped = next(number for number, state in enumerate(graph.states[began:]) if state.position[4])
     held = [state.position[2] for state in graph.states[began + stopped :]]
@@ -226,8 +228,8 @@ def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, vict
     graph.until_at(SETPOINT)
 
 
-@pytest.mark.parametrize("graph", [50.0], indirect=True)
-def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain):
+def a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain) -> None:
+    """Halt the controller while a stranger publishes commands."""
     from std_msgs.msg import Float64
 
     stranger = Observer(domain)
@@ -235,7 +237,6 @@ def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain):
         command = stranger.talk(Float64, "/command")
         stranger.node.create_timer(0.02, lambda: command.publish(Float64(data=THEIRS)))
         until(lambda: "refused from" in graph.nodes["hysteresis_compensator"].output, what="the stranger refused")
-        graph.at_work()
         since = len(graph.states)
         for pause in (0.2, 0.6, 1.6):
             graph.nodes["motion_controller"].send(signal.SIGSTOP)
@@ -270,10 +271,15 @@ def join(graph, joining: str, folder) -> None:
 
 
 @pytest.mark.parametrize("graph", [10.0], indirect=True)
-def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
+def test_a_slow_axis_answers_between_samples_and_loses_none_to_nodes_that_join(graph, domain, tmp_path):
+    services_answer_what_has_happened_also_between_two_samples(graph)
+    a_node_that_joins_costs_no_sample(graph, domain, tmp_path)
+    joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path)
+
+
+def a_node_that_joins_costs_no_sample(graph, domain, tmp_path) -> None:
     """Stamps count the samples: all intervals are one period, except for losses caused by a busy machine."""
     graph.be_patient()
-    graph.at_work()
     for joining in ("page", "second observer", "recorder", "motion_controller"):
         since = len(graph.states)
         other = None
@@ -283,7 +289,7 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
             until(lambda heard=heard: heard, what="the second observer")
         else:
             join(graph, joining, tmp_path)
-        graph.more(20)
+        graph.more(10)
         if other is not None:
             other.close()
         # it was 0.5 s at 200 Hz and 1.6 s at 10 Hz
@@ -292,7 +298,6 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
             assert max(abs(state.position[0] - SETPOINT) for state in graph.states[since:]) < 1e-8
             assert max(abs(state.position[2] - 60.0) for state in graph.states[since:]) < 0.1
         graph.until_at(SETPOINT)
-    joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path)
 
 
 def joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, folder) -> None:
@@ -311,7 +316,7 @@ def joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, fol
     heard = other.listen(*state_topic())
     graph.nodes["recorder"] = graph.processes.node("recorder", graph.path, "-p", f"path:={folder / 'moving'}")
     until(lambda: heard and (folder / "moving").exists(), what="both")
-    graph.more(20)
+    graph.more(10)
     other.close()
     states = graph.states[since:]
     limits = axis_at(graph.rate).plant_simulator.limits
@@ -323,13 +328,13 @@ def joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, fol
     assert max(state.position[2] for state in states) - min(state.position[2] for state in states) > 1.0, "no motion"
 
 
-@pytest.mark.parametrize("graph", [10.0], indirect=True)
-def test_services_answer_what_has_happened_also_between_two_samples(graph):
+def services_answer_what_has_happened_also_between_two_samples(graph) -> None:
+    """Stop and start the axis and its parts; each answer is true before the next sample."""
     from std_msgs.msg import Bool
 
     estop = graph.observer.talk(Bool, "/estop")
     until(lambda: estop.get_subscription_count() > 0, what="the plant at estop")
-    for _ in range(3):
+    for _ in range(2):
         estop.publish(Bool(data=True))
         graph.until_safe()
         until(lambda: not graph.start_of("motion_controller").success, what="a controller that knows it")
