@@ -250,6 +250,7 @@ def _import_all() -> None:
     for module in ROS:
         with contextlib.suppress(ImportError):
             importlib.import_module(module)
+    importlib.import_module(f"{PACKAGE}.recordings.cdr").typestore()
     interfaces = [module for name, module in list(sys.modules.items()) if name.endswith((".msg", ".srv"))]
     for kind in {value for module in interfaces for value in vars(module).values() if isinstance(value, type)}:
         if hasattr(type(kind), "__import_type_support__"):
@@ -341,31 +342,39 @@ def _become(request: dict, files: list[int], base: list[str]) -> None:
     try:
         runpy._run_module_as_main(request["module"])
     except SystemExit as error:
-        _end(error.code)
+        _end(request["module"], error.code)
         raise
-    _end(None)
+    _end(request["module"], None)
 
 
-def _end(code) -> None:
+def _end(module: str, code) -> None:
     """End this process as Python does, except that no objects are freed: this takes longer than the work of most.
 
-    It returns where more is left to Python: a participant of DDS, which says goodbye when it is freed; a ``code`` to
-    print; output that could not be written.
+    A node fails whose participant of DDS is left to the exit of the process, which it sometimes aborts. The rest is
+    left to Python: participants of commands, a ``code`` to print, output that could not be written.
     """
     threading._shutdown()
     atexit._run_exitfuncs()
-    participants = any(name.startswith("dds.ev") for name in _threads())  # each has a thread of this name
-    if participants or not (code is None or isinstance(code, int)):
-        return
-    with contextlib.suppress(OSError, ValueError):
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit((code or 0) & 0xFF)
+    gc.collect()
+    if any(name.startswith("dds.ev") for name in _threads()):  # each participant has a thread of this name
+        if not module.startswith(f"{PACKAGE}.nodes."):
+            return
+        print("a participant of DDS is left to the exit of the process, which it sometimes aborts", file=sys.stderr)
+        code = 70
+    if code is None or isinstance(code, int):
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit((code or 0) & 0xFF)
 
 
 def _threads() -> list[str]:
     """Return the names of the threads of this process, also of those that libraries have started."""
-    return [name.read_text() for name in pathlib.Path("/proc/self/task").glob("*/comm")]
+    names = []
+    for path in pathlib.Path("/proc/self/task").glob("*/comm"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            names.append(path.read_text())
+    return names
 
 
 def _threads_of_ros() -> int:

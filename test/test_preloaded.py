@@ -39,7 +39,7 @@ def claimed():
     from hysteresis_ros.nodes.domain import Domain
 
     with Domain() as domain:
-        yield domain.number
+        yield domain.environment
 
 
 def imports_everything(process: subprocess.Popen) -> bool:
@@ -85,7 +85,7 @@ def test_output_and_exit_code_are_those_of_a_true_start(node, tmp_path):
 def test_what_a_forked_command_starts_is_forked_too_and_nothing_of_it_remains(claimed, tmp_path):
     axis = pathlib.Path(__file__).parents[1] / "config" / "kim2009.yaml"
     command = [*MAIN, "up", str(axis), "--rate", "lockstep", "--duration", "20", "--composed"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(claimed), "PYTHONPATH": str(preloaded_support.tested_folder())}
+    environment = {**os.environ, **claimed, "PYTHONPATH": str(preloaded_support.tested_folder())}
     with subprocess.Popen(
         command, cwd=tmp_path, env=environment, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE
     ) as up:
