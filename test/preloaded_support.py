@@ -271,7 +271,8 @@ def _load_kernels() -> None:
         with contextlib.suppress(AttributeError, OSError):
             for key in kernel._cache._cache_file._load_index():
                 if key[0] not in kernel.overloads:
-                    kernel.compile(key[0])
+                    with contextlib.suppress(ReferenceError):  # an argument was a function of a process that has ended
+                        kernel.compile(key[0])
 
 
 def _is_kernel(value, numba) -> bool:
