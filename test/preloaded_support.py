@@ -340,49 +340,24 @@ def _become(request: dict, files: list[int], base: list[str]) -> None:
     if request["module"] in STARTERS:
         _keep_a_copy(base)
     sys.modules.pop(request["module"], None)
+    _run(request["module"])
+
+
+def _run(module: str) -> None:
+    """Run a module and end as Python does, except that no objects are freed, which would take longer than most run."""
+    code: object = None
     try:
-        runpy._run_module_as_main(request["module"])
+        runpy._run_module_as_main(module)
     except SystemExit as error:
-        _end(request["module"], error.code)
-        raise
-    _end(request["module"], None)
-
-
-def _end(module: str, code) -> None:
-    """End this process as Python does, except that no objects are freed: this takes longer than the work of most.
-
-    A node fails whose participant of DDS is left to the exit of the process, which it sometimes aborts. The rest is
-    left to Python: participants of commands, a ``code`` to print, output that could not be written.
-    """
+        code = error.code
     threading._shutdown()
     atexit._run_exitfuncs()
-    gc.collect()
-    if any(name.startswith("dds.ev") for name in _threads()):  # each participant has a thread of this name
-        if not module.startswith(f"{PACKAGE}.nodes."):
-            return
-        print("a participant of DDS is left to the exit of the process, which it sometimes aborts", file=sys.stderr)
-        code = 70
     if code is None or isinstance(code, int):
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):  # output that cannot be written, and a text, are left to Python
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit((code or 0) & 0xFF)
-
-
-def _threads() -> list[str]:
-    """Return the names of the threads of this process, also of those that libraries have started."""
-    names = []
-    for path in pathlib.Path("/proc/self/task").glob("*/comm"):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
-            names.append(path.read_text())
-    return names
-
-
-def _threads_of_ros() -> int:
-    """Import rclpy; return the number of threads: LTTng's wait for requests to trace, and no fork needs them."""
-    with contextlib.suppress(ImportError):
-        importlib.import_module("rclpy")
-    return len(_threads())
+    sys.exit(code)
 
 
 def _keep_a_copy(base: list[str]) -> None:
@@ -416,13 +391,15 @@ def _serve(channel: socket.socket, folder: str) -> None:
     _end_with_parent()
     base = sys.path[1:]
     sys.path.insert(1, folder)
-    threads = _threads_of_ros()
+    with contextlib.suppress(ImportError):
+        importlib.import_module("rclpy")  # with LTTng's threads, which wait for requests to trace: no fork needs them
+    threads = os.listdir("/proc/self/task")
     _import_all()
     _load_kernels()
     inspect.getframeinfo(sys._getframe())  # rclpy calls this at each place that logs; the function caches all modules
     gc.collect()
     gc.freeze()
-    if len(_threads()) > threads:
+    if os.listdir("/proc/self/task") != threads:
         sys.exit("a library has started a thread, which a fork would not have")
     _become(*_served(channel), base)
 
