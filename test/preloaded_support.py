@@ -339,7 +339,8 @@ def _become(request: dict, files: list[int], base: list[str]) -> None:
         first()
     if request["module"] in STARTERS:
         _keep_a_copy(base)
-    sys.modules.pop(request["module"], None)
+    for name in (request["module"], f"{request['module']}.__main__"):
+        sys.modules.pop(name, None)
     _run(request["module"])
 
 

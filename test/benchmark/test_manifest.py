@@ -99,7 +99,7 @@ def test_an_input_that_never_turns_is_refused(tmp_path):
     checksum = written(tmp_path)
     part = {"file": "run.csv", "sha256": checksum}
     (one,) = load_manifest(manifest(tmp_path, entry(checksum, train={**part, "range": "50:101"})))
-    with pytest.raises(HysteresisError, match="never turns"):
+    with pytest.raises(HysteresisError, match="never reverses"):
         read_task(one, tmp_path)
 
 
