@@ -19,6 +19,8 @@ from command_support import refusal, run
 
 from hysteresis_ros.cli.main import COMMANDS
 from hysteresis_ros.configuration import config_path
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.stage import Stage
 
 
 @pytest.mark.parametrize(
@@ -217,6 +219,8 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
     ids=lambda words: words[0],
 )
 def test_a_kind_of_file_that_no_run_has_is_refused_before_the_run(words, tmp_path, monkeypatch):
+    for runs in (Axis, Stage):
+        monkeypatch.setattr(runs, "run", lambda *given, **named: pytest.fail("it ran"))
     monkeypatch.chdir(tmp_path)
     line = refusal(*words)
     assert "run.txt: unknown kind of file '.txt'; write .npz, .csv or .mcap" in line and "samples" not in line

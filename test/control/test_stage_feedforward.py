@@ -22,6 +22,7 @@ from hysteresis_ros.control.feedforward import designed_preview, inverse_filter
 from hysteresis_ros.designs.stage_feedforward import (
     GRID,
     VoltageSteps,
+    _largest,
     design_stage_feedforward,
     finite_response,
     require_gentle_steps,
@@ -203,6 +204,18 @@ def test_the_voltage_steps_of_a_stage_are_those_of_its_setpoints_without_the_way
         assert [step.allowed for step in voltage_steps(gentle(**rates))] == [pytest.approx(5.0)] * 2
 
 
+def test_the_actuator_that_uses_most_of_its_range_in_a_sample_counts():
+    """x moves by 10 of its 100 V, y by 8 of its 40 V."""
+    parameters = gentle()
+    x, y = parameters.axes
+    node = y.hysteresis_compensator
+    limits = replace(node.limits, maximum=node.limits.minimum + 40.0)
+    narrower = replace(parameters, axes=(x, replace(y, hysteresis_compensator=replace(node, limits=limits))))
+    run = {"x/voltage": np.array([0.0, 10.0, 10.0]), "y/voltage": np.array([0.0, 0.0, 8.0])}
+    step = _largest(narrower, run, 0, "a move")
+    assert (step.asked, step.span) == (8.0, pytest.approx(40.0))
+
+
 def test_an_integrator_that_goes_to_the_first_setpoint_does_not_count():
     """At 60 1/s an error of 20 µm changes it by 0.3 V in a sample, and 20 ms of 1 mm/s by 0.25 (1 − e^-1.2)."""
     controller = {"type": "pid", "damping__type": "none", "pid__Kp": 0.0, "pid__Ki": 60.0, "pid__Kd": 0.0}
@@ -219,6 +232,9 @@ def test_what_no_preview_decouples_is_refused_unless_preview_and_band_are_both_g
     assert design_stage_feedforward(parameters, 60, 1000.0).after > 0.1
     with pytest.raises(ConfigurationError, match=r"63 samples of preview \S+ % of coupling remain up to 1000 Hz"):
         design_stage_feedforward(parameters, None, 1000.0)
+    # with this preview the lowest band leaves too much, too
+    with pytest.raises(ConfigurationError, match=r"8 samples of preview \S+ % of coupling remain up to 134.218 Hz"):
+        design_stage_feedforward(parameters, 8)
 
 
 def test_an_axis_that_learns_gets_no_feedforward():

@@ -12,6 +12,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import struct
 from concurrent.futures import Future
 from types import SimpleNamespace
 
@@ -21,7 +23,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 aiohttp = pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
 
-from pretended_axis import served  # noqa: E402
+from pretended_axis import PATIENCE, served  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
@@ -212,6 +214,21 @@ def test_garbage_is_answered_and_the_page_goes_on():
             await page.until(lambda said: False)
         assert (await other.ask(do="view", window=1.0, columns=300))["ok"]
         assert bench.link.asked == ["start"]
+
+    served(check)
+
+
+def test_a_page_that_has_asked_for_no_view_gets_five_seconds_in_at_most_600_columns():
+    """5000 samples: nine in each of 556 columns."""
+
+    async def check(bench):
+        page = await bench.page()
+        message = await page.socket.receive(PATIENCE)
+        while message.type != aiohttp.WSMsgType.BINARY:
+            message = await page.socket.receive(PATIENCE)
+        (length,) = struct.unpack("<I", message.data[:4])
+        header = json.loads(message.data[4 : 4 + length])
+        assert (header["rate"], header["length"], header["columns"]) == (1000.0, 9, 556)
 
     served(check)
 
