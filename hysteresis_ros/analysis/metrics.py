@@ -232,7 +232,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``disturbed_percent``                   of a fused run: samples from a skipped one until its effect on the error has
                                             decayed (:func:`hysteresis_ros.analysis.parts.disturbed`), in % of those
                                             that count for errors
-    ``undisturbed_rms_error_m``,            the same errors without these samples; None if no sample was skipped
+    ``undisturbed_rms_error_m``,            the same errors without these samples; None if none or all are disturbed
     ``undisturbed_max_error_m``
     ``parts``                               list of dicts, the parts of the run in order: ``part`` (approach,
                                             steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, the figures that
@@ -385,11 +385,14 @@ def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, note
     error, place = run.reference - run.displacement, np.flatnonzero(good)[judged]
     whole = np.full(len(recording), np.nan)  # a skipped sample of a device has no measurement, and therefore no error
     whole[place] = error
-    span = disturbed(np.nan_to_num(recording["skipped"]) > 0.0, whole)[place]
+    skipped = np.nan_to_num(recording["skipped"]) > 0.0
+    span = disturbed(skipped, whole)[place]
     share = 100.0 * float(np.mean(span))
     if not np.any(span) or np.all(span):
-        why = "every sample is" if np.any(span) else "no sample was skipped, so none is"
-        notes |= {f"undisturbed_{name}_error_m": f"{why} disturbed" for name in ("rms", "max")}
+        why = "every sample is disturbed" if np.any(span) else "no sample was skipped, so none is disturbed"
+        if np.any(skipped) and not np.any(span):
+            why = "samples were skipped, but no evaluated sample is disturbed"
+        notes |= {f"undisturbed_{name}_error_m": why for name in ("rms", "max")}
         return {"disturbed_percent": share}
     left = error_figures(error[~span], 0.0)
     return {"disturbed_percent": share} | {f"undisturbed_{name}": value for name, value in left.items()}

@@ -461,18 +461,20 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: Relative excess of the mean square error over that of undisturbed samples, above which a span counts as disturbed;
-#: and smallest fraction of samples that must remain for the comparison.
-EXCESS, COMPARED = 0.1, 0.1
+#: Relative excess of the median square error over that of undisturbed samples, above which a span counts as disturbed;
+#: smallest fraction of samples that must remain for the comparison; and shortest span, because a voltage acts only
+#: after the delay of the axis.
+EXCESS, COMPARED, SHORTEST_SPAN = 0.1, 0.1, 4
 
 
 def disturbed(skipped, error) -> np.ndarray:
     """Return which samples are disturbed: skipped samples, and those after them until their effect has decayed.
 
     ``skipped`` and ``error``, shape (N,), are a flag for each sample and its error [m]. The error is NaN if it does not
-    count, for example without a measurement. All spans after skipped samples have the same length n: the shortest of 1,
-    2, 4, … samples after which the error has decayed. It has decayed if, in the n samples after the spans, its mean
-    square is at most that of samples farther away plus :data:`EXCESS`.
+    count, for example without a measurement. All spans after skipped samples have the same length n: the shortest of 4,
+    8, 16, … samples after which the error has decayed. It has decayed if, in the n samples after the spans, its median
+    square is at most that of samples farther away plus :data:`EXCESS`. A median, because the mean of a run is often
+    determined by its start, which is far away from the skipped samples.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
@@ -480,12 +482,12 @@ def disturbed(skipped, error) -> np.ndarray:
         return np.zeros(number.size, dtype=bool)
     last = np.searchsorted(places, number, side="right") - 1
     since = np.where(last < 0, number.size, number - places[last])
-    length = 1
+    length = SHORTEST_SPAN
     while True:
         following, apart = counted & (since >= length) & (since < 2 * length), counted & (since >= 2 * length)
         if np.sum(apart) < COMPARED * np.sum(counted) or not np.any(following):
             break
-        if np.mean(square[following]) <= (1.0 + EXCESS) * np.mean(square[apart]):
+        if np.median(square[following]) <= (1.0 + EXCESS) * np.median(square[apart]):
             break
         length *= 2
     return since < length

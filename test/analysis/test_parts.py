@@ -271,6 +271,26 @@ def test_without_a_skipped_sample_nothing_is_disturbed_and_the_figures_say_so():
     assert compute_metrics(run(STEPS, STEPS - 1e-6))["disturbed_percent"] is None
 
 
+@pytest.mark.parametrize("delay", [1, 3])
+def test_a_large_error_at_the_start_does_not_hide_what_skipped_samples_disturbed(delay):
+    # the error at the start is far from all skipped samples, and their effect begins after the delay of the axis
+    number, skipped = np.arange(8000), np.zeros(8000)
+    skipped[[2500, 4000, 5500]] = 1.0
+    decay = np.where(number >= delay, np.exp(-number * np.log(1e3) / 60), 0.0)
+    noise = np.random.default_rng(5).normal(0.0, 2e-9, 8000)
+    error = noise + 1e-7 * np.convolve(skipped, decay)[:8000] + 4e-5 * np.exp(-number / 100.0)
+    reference = 5e-6 * np.sin(2 * np.pi * number / 2000)
+    measured = np.where(skipped > 0.0, np.nan, reference - error)
+    assert 30 <= np.sum(disturbed(skipped > 0.0, reference - measured)) / 3 <= 128
+    signals = {"reference": reference, "measured": measured, "skipped": skipped}
+    figures = compute_metrics(Recording(number * 1e-3, signals, {}, {"excerpt": True}), parts=False)
+    assert figures["disturbed_percent"] > 1.0 and figures["undisturbed_rms_error_m"] > 1e-6
+    # a skipped sample outside what is evaluated was skipped, but disturbs nothing
+    signals["skipped"] = np.where(number == 10, 1.0, 0.0)
+    notes = compute_metrics(Recording(number * 1e-3, signals, {}), parts=False)["notes"]
+    assert notes["undisturbed_rms_error_m"] == "samples were skipped, but no evaluated sample is disturbed"
+
+
 def test_a_skipped_sample_of_a_device_disturbs_although_it_has_no_measurement_and_charts_mark_it():
     random = np.random.default_rng(5)
     skipped = np.zeros(8000)
