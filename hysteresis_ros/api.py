@@ -1011,13 +1011,13 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
     (3,)
     """
     if isinstance(source, ArrayRun):
-        from hysteresis_ros.analysis.metrics import FIGURES, AxisSettings, compute_metrics
+        from hysteresis_ros.analysis.metrics import FIGURES, AxisSettings, compute_metrics, reference_delay
 
         each = []
         for number, axis in enumerate(source.parameters):
             limits, controller = axis.hysteresis_compensator.limits, axis.motion_controller
-            offset, preview = controller.model.preload.offset, controller.feedforward.preview
-            settings = AxisSettings(limits.minimum, limits.maximum, offset, preview)
+            late = reference_delay(controller.feedforward.preview, controller.learning.type)
+            settings = AxisSettings(limits.minimum, limits.maximum, controller.model.preload.offset, late)
             each.append(compute_metrics(source.axis(number, describe=False), settings, parts=False))
         return {name: np.array([figures[name] for figures in each], dtype=float) for name, *_ in FIGURES}
     return report(source, namespace=namespace)

@@ -40,6 +40,7 @@ from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.loops import loop_opening
 from hysteresis_ros.recordings.provenance import configured
 from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
+from hysteresis_ros.units import readable
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,25 @@ class AxisSettings:
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model [m]; the reference does not contain it.
-    preview: int = (
-        0  #: Number of samples by which the recorded reference is ahead of the one that the controller follows.
-    )
+    #: preview, learned_preview: Number of samples by which the recorded reference is ahead of the one that the axis
+    #: follows; and feedforward.preview of an axis that learns, which follows the reference itself in spite of it.
+    preview: int = 0
+    learned_preview: int = 0
+
+    @property
+    def reference(self) -> str:
+        """The reference against which errors are computed, if it could be another one; else empty."""
+        if self.learned_preview:
+            return "the undelayed reference"
+        return f"the reference delayed by {self.preview} samples" if self.preview else ""
+
+
+def reference_delay(preview: int, learning: str) -> int:
+    """Return by how many samples an axis follows its reference late: by its preview, or not at all if it learns.
+
+    ``learning`` is the value of ``learning.type``: learning removes the error against the undelayed reference.
+    """
+    return preview if learning == "none" else 0
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
@@ -64,20 +81,23 @@ def axis_settings(recording: Recording) -> AxisSettings:
     }
     controller = configured(text, "motion_controller", namespace)
     preview = controller.get("feedforward.preview", 0)
+    preview = preview if isinstance(preview, int) and not isinstance(preview, bool) and preview > 0 else 0
+    late = reference_delay(preview, controller.get("learning.type", "none"))
     return AxisSettings(
         _number(limits.get("minimum")),
         _number(limits.get("maximum")),
         _offset(_group(controller, "model.preload.")),
-        preview if isinstance(preview, int) and not isinstance(preview, bool) and preview > 0 else 0,
+        late,
+        preview - late,
     )
 
 
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
     """Return the reference with which the displacement is compared, shape (N,) [m].
 
-    With a preview of P samples, it is the recorded reference delayed by P samples. Before the recording, the reference
-    is assumed to equal its first value. A value is NaN if the sample P samples earlier is missing, or is outside an
-    excerpt.
+    With a preview of P samples, it is the recorded reference delayed by P samples, unless the axis learns to follow it
+    without delay (:func:`reference_delay`). Before the recording, the reference is assumed to equal its first value. A
+    value is NaN if the sample P samples earlier is missing, or is outside an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
@@ -186,10 +206,11 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
 
     The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
     controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
-    With ``feedforward.preview`` every figure uses the reference delayed by that many samples. Samples without reference
-    or displacement do not count. If a scan begins with a jump, errors are evaluated from its first reversal on
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors, steps,
-    loops and the residual omit the samples in which the axis is stopped
+    With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis learns:
+    then it uses the undelayed reference, and the notes give the RMS error against the delayed one. Samples without
+    reference or displacement do not count. If a scan begins with a jump, errors are evaluated from its first reversal
+    on (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors,
+    steps, loops and the residual omit the samples in which the axis is stopped
     (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
     the displacement.
 
@@ -254,9 +275,6 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
     if not recording.has("reference"):
         return _without_reference(recording, recording[actual] - offset, notes)
-    if settings.preview:
-        late = f"errors are computed from the reference delayed by {settings.preview} samples (feedforward.preview)"
-        notes["recording"] = [*notes["recording"], late]
     tracked = _Tracked(recording.time, judged_reference(recording, settings.preview), recording[actual] - offset)
     good = np.isfinite(tracked.reference) & np.isfinite(tracked.displacement)
     if not np.any(good):
@@ -271,7 +289,9 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         running = tracked.at(judged)
         start = 0 if recording.metadata.get("excerpt") else scan_start(running.reference, running.displacement)
         figures.update(_error_figures(running, start, stroke, notes))
-        figures.update(_undisturbed_figures(recording, good, judged[start:], running.at(slice(start, None)), notes))
+        place = np.flatnonzero(good)[judged[start:]]
+        notes["recording"] = notes["recording"] + _reference_note(recording, settings, place, actual)
+        figures.update(_undisturbed_figures(recording, place, running.at(slice(start, None)), notes))
         figures.update(_step_figures(found, tracked, notes))
         figures.update(_residual_figure(running, stroke, notes))
         driven = recording["voltage"][good][judged] if recording.has("voltage") else None
@@ -293,7 +313,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         return figures
     each = [
         dict(part=str(part.kind), from_s=float(time[part.start]), to_s=float(time[part.stop - 1]))
-        | part_figures(part, time, reference, displacement, stroke)
+        | part_figures(part, time, reference, displacement, stroke, settings.reference)
         for part in found
     ]
     return {"parts": each, **figures}
@@ -378,11 +398,29 @@ def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dic
     return figures
 
 
-def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, notes: dict) -> dict:
+def _reference_note(recording: Recording, settings: AxisSettings, place, actual: str) -> list[str]:
+    """Return a note about the reference from which errors of the samples ``place`` are computed, if it needs one."""
+    if not settings.reference:
+        return []
+    text = f"errors are computed from {settings.reference}"
+    if not settings.learned_preview:
+        return [f"{text} (feedforward.preview)"]
+    text += ", which the axis learns to follow"
+    late = judged_reference(recording, settings.learned_preview) - (recording[actual] - settings.offset)
+    late = late[place][np.isfinite(late[place])]
+    if late.size:
+        rms = readable(error_figures(late, 0.0)["rms_error_m"], "m")
+        text += (
+            f"; against it delayed by {settings.learned_preview} samples (feedforward.preview) the RMS error is {rms}"
+        )
+    return [text]
+
+
+def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict) -> dict:
     """Return the errors outside the spans after skipped samples, and the fraction [%] of samples in these spans."""
     if not recording.has("skipped"):
         return {}
-    error, place = run.reference - run.displacement, np.flatnonzero(good)[judged]
+    error = run.reference - run.displacement
     whole = np.full(len(recording), np.nan)  # a skipped sample of a device has no measurement, and therefore no error
     whole[place] = error
     skipped = np.nan_to_num(recording["skipped"]) > 0.0

@@ -423,10 +423,11 @@ def _joined(parts: list[Part]) -> list[Part]:
     return joined
 
 
-def part_figures(part: Part, time, reference, displacement, stroke: float) -> dict:
+def part_figures(part: Part, time, reference, displacement, stroke: float, against: str = "") -> dict:
     """Return the figures of merit of a part, the number of its steps, and the number of its whole periods.
 
-    The figures of a scan are computed over its whole periods, if it has any.
+    The figures of a scan are computed over its whole periods, if it has any. ``against`` names the reference of its
+    errors, if it could be another one.
     """
     found: dict = dict.fromkeys(JUDGED_BY[part.kind])
     inside = slice(part.start, part.stop)
@@ -442,6 +443,7 @@ def part_figures(part: Part, time, reference, displacement, stroke: float) -> di
         for name in ("rms", "max"):
             if f"{name}_error_percent_of_stroke" in found and stroke > 0.0:
                 found[f"{name}_error_percent_of_stroke"] = 100.0 * found[f"{name}_error_m"] / stroke
+        found |= {"against": against} if against else {}
     if "loop_width_percent" in found:
         opening = loop_opening(reference[inside], displacement[inside])
         found["loop_width_percent"] = None if opening is None else 100.0 * opening / stroke

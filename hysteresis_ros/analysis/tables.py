@@ -67,6 +67,8 @@ def _judgement(one: dict) -> str:
         share = one.get(name.removesuffix("_m") + "_percent_of_stroke")
         value = "none" if one[name] is None else " ".join(shown(one[name], *_UNITS[name]))
         said.append(f"{_SHORT[name]} {value}" + (f" ({share:.3g} % of stroke)" if share is not None else ""))
+        if name == "max_error_m" and "against" in one:
+            said[-1] += f" against {one['against']}"
     text = ", ".join(said)
     if kind is Kind.STEPS:
         text += f"; worst of {one['steps']} step{'s' if one['steps'] != 1 else ''}"

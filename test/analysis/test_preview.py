@@ -20,8 +20,10 @@ from hysteresis_ros.analysis.metrics import (  # noqa: E402
     compute_metrics,  # noqa: E402
     judged_reference,
 )
+from hysteresis_ros.analysis.parts import within  # noqa: E402
 from hysteresis_ros.analysis.report import render_report  # noqa: E402
-from hysteresis_ros.analysis.run_charts import judged  # noqa: E402
+from hysteresis_ros.analysis.run_charts import judged, traces_chart  # noqa: E402
+from hysteresis_ros.analysis.tables import format_table  # noqa: E402
 from hysteresis_ros.laboratory.papers.runs import loop_width, step_figures  # noqa: E402
 from hysteresis_ros.recordings import Recording  # noqa: E402
 
@@ -29,9 +31,10 @@ PREVIEW = 7
 RATE = 1000.0
 
 
-def recorded(reference, displacement, preview=PREVIEW):
+def recorded(reference, displacement, preview=PREVIEW, learning="none"):
     text = (
-        f"/**/motion_controller:\n  ros__parameters: {{feedforward: {{type: inverse_dynamics, preview: {preview}}}}}\n"
+        f"/**/motion_controller:\n  ros__parameters: {{feedforward: {{type: inverse_dynamics, preview: {preview}}}, "
+        f"learning: {{type: {learning}}}}}\n"
     )
     columns = {"time": np.arange(len(reference)) / RATE, "reference": reference, "displacement": displacement}
     return Recording.from_columns({**columns, "voltage": displacement}, {"configuration": text})
@@ -57,6 +60,24 @@ def test_a_displacement_that_follows_the_delayed_reference_has_no_error():
     assert step_figures(run).settling == 0.0
     assert np.all(judged(run).error == 0.0)
     assert f"delayed by {PREVIEW} samples (feedforward.preview)" in render_report(run, "preview", figures)
+
+
+@pytest.mark.parametrize("learning", ["none", "inversion"])
+def test_an_axis_that_learns_is_evaluated_against_the_undelayed_reference_and_the_report_says_which(learning):
+    reference = 5e-6 * (1.0 - np.cos(2.0 * np.pi * np.arange(4000) / RATE))
+    run = recorded(reference, reference if learning != "none" else late(reference), learning=learning)
+    figures, delay = compute_metrics(run), PREVIEW if learning == "none" else 0
+    assert figures["max_error_m"] == pytest.approx(0.0, abs=1e-12) and np.nanmax(np.abs(judged(run).error)) < 1e-12
+    assert axis_settings(run).preview == delay
+    against = f"the reference delayed by {PREVIEW} samples" if delay else "the undelayed reference"
+    assert f"maximum 0 µm (0 % of stroke) against {against}" in format_table(figures).splitlines()[0]
+    (note,) = [note for note in figures["notes"]["recording"] if note.startswith(f"errors are computed from {against}")]
+    apart = 1e6 * np.sqrt(np.mean((reference - late(reference)) ** 2))
+    assert delay or f"delayed by {PREVIEW} samples (feedforward.preview) the RMS error is {apart:.4g} µm" in note
+    label = f"reference, delayed by {PREVIEW} samples" if delay else "reference"
+    assert traces_chart(judged(run)).lines[-1].label == label
+    last = compute_metrics(within(run, 3.0, 3.5))
+    assert last["rms_error_m"] == pytest.approx(0.0, abs=1e-12), "also in an excerpt"
 
 
 def test_without_preview_the_received_reference_counts():

@@ -29,6 +29,7 @@ from hysteresis_ros.analysis.metrics import (
     compute_metrics,
     delayed,
     error_figures,
+    reference_delay,
 )
 from hysteresis_ros.analysis.parts import JUMP, scan_start
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, did_you_mean
@@ -127,15 +128,16 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     """Return metrics of a run; an undefined metric is NaN.
 
     Errors are those of the true displacement, also between the samples, minus the preload offset of the controller's
-    model, against the reference delayed by its preview. The reference is linear between samples, except at jumps. All
-    other metrics are defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the
-    errors of a plant with a camera and all metrics of an inchworm motor
-    (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+    model, against the reference delayed by its preview, or against the undelayed one if the controller learns. The
+    reference is linear between samples, except at jumps. All other metrics are defined at the samples
+    (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the errors of a plant with a camera and all
+    metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)
     control = axis.parameters.motion_controller
-    settings = AxisSettings(offset=control.model.preload.offset, preview=control.feedforward.preview)
+    late = reference_delay(control.feedforward.preview, control.learning.type)
+    settings = AxisSettings(offset=control.model.preload.offset, preview=late)
     figures: dict = {}
     dense = type(axis.plant) is ActuatorPlant and len(signals["time"]) > 1
     if isinstance(axis.plant, ActuatorPlant) and dense:

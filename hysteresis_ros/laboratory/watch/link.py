@@ -33,6 +33,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
+from hysteresis_ros.analysis.metrics import reference_delay
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.laboratory.watch.access import SERVICES
 from hysteresis_ros.laboratory.watch.memory import Collector, Memory, Plane, motor_facts
@@ -285,8 +286,8 @@ class AxisLink:
         except AbsentError:
             return  # the node is starting or exiting; the next check will show which
         self._neighbour = neighbour
-        own = self._axis.motion_controller.feedforward.preview if self._axis is not None else 0
-        previews = {self.namespace: own, neighbour: int(given.get("feedforward.preview", 0))}
+        other = reference_delay(int(given.get("feedforward.preview", 0)), given.get("learning.type", "none"))
+        previews = {self.namespace: self._reference_delay(), neighbour: other}
         self.plane.choose({space: previews[space] for space in sorted(shown)})
         if given.get("time_mode") == "fused":
             hear, topic = self.node.create_subscription, f"{neighbour}/{signals.PLANT}/{TOPIC}"
@@ -341,11 +342,17 @@ class AxisLink:
 
         return self._client.node.create_subscription(JointState, self._client.full_name(f"{node}/state"), take, DEPTH)
 
+    def _reference_delay(self) -> int:
+        """Return by how many samples the axis follows its reference late."""
+        if self._axis is None:
+            return 0
+        controller = self._axis.motion_controller
+        return reference_delay(controller.feedforward.preview, controller.learning.type)
+
     def _begin_anew(self) -> None:
         axis = self._axis
         if axis is not None:
-            preview = axis.motion_controller.feedforward.preview
-            self.memory.restart(axis.plant_simulator.sample_rate, preview, axis.kind.motor)
+            self.memory.restart(axis.plant_simulator.sample_rate, self._reference_delay(), axis.kind.motor)
 
     # -- subscriptions ---------------------------------------------------------------------------------------------
 
