@@ -208,9 +208,9 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
     With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis learns:
     then it uses the undelayed reference, and the notes give the RMS error against the delayed one. Samples without
-    reference or displacement do not count. If a scan begins with a jump, errors are evaluated from its first reversal
-    on (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors,
-    steps, loops and the residual omit the samples in which the axis is stopped
+    reference or displacement do not count. If a scan begins with a jump, errors are evaluated from the reversal
+    on from which the axis follows (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which
+    all samples count. Errors, steps, loops and the residual omit the samples in which the axis is stopped
     (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
     the displacement.
 
@@ -384,8 +384,8 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
 def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dict:
     if start:
         text = (
-            f"errors are evaluated from {run.time[start]:.4g} s on: the scan begins with a jump, whose effect lasts "
-            f"until its first reversal"
+            f"errors are evaluated from {run.time[start]:.4g} s on: the scan begins with a jump, and the axis follows "
+            "from this reversal on"
         )
         notes["recording"] = [*notes["recording"], text]
     error = (run.reference - run.displacement)[start:]

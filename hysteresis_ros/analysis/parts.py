@@ -86,22 +86,27 @@ def find_holds(reference) -> list[Hold]:
 
 
 def scan_start(reference, displacement) -> int:
-    """Return the sample from which errors of a scan count: the first reversal if the scan begins with a jump, else 0.
+    """Return the sample from which errors of a scan count: a reversal if the scan begins with a jump, else 0.
 
-    A scan may begin away from the position at which the axis rests; the error of this first motion says nothing about
-    the tracking of the scan. The first motion counts as a jump if its error is larger than all errors after the first
-    reversal. If the reference consists of steps from hold to hold, all samples count.
+    A scan may begin away from the position at which the axis rests; the error until the axis follows says nothing about
+    the tracking of the scan. The axis follows from the first reversal on until whose next one all errors are smaller
+    than the jump. All errors from there on must be smaller than the jump, or than half of the largest error before;
+    otherwise, and if the reference consists of steps from hold to hold, all samples count.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
     points = turning_points(reference, REVERSAL)
     if len(points) < 3 or len(find_holds(reference)) > 1:
         return 0
-    first = int(points[1])
     begins = int(np.argmax(reference != reference[0]))
     error = np.abs(reference - displacement)
     jump = max(error[0], error[begins])
-    return first if jump > JUMP * np.ptp(reference) and jump > np.max(error[first:]) else 0
+    between = np.maximum.reduceat(error, points[:-1])
+    calm = np.flatnonzero(between[1:] < jump)
+    if not calm.size or jump <= JUMP * np.ptp(reference):
+        return 0
+    first = int(points[1 + calm[0]])
+    return first if max(jump, 0.5 * np.max(error[:first])) > np.max(error[first:]) else 0
 
 
 def step_responses(time, reference, displacement) -> list[StepResponse]:
@@ -286,9 +291,9 @@ def find_parts(reference, displacement=None, off=None) -> list[Part]:
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
-    """Separate the approach from a scan or hold that begins with a jump.
+    """Separate the approach from a scan, path or hold that begins with a jump.
 
-    The approach lasts until the first reversal of the scan, or until the axis has settled in the hold.
+    The approach lasts until the axis follows (:func:`scan_start`), or until it has settled in the hold.
     """
     if parts[0].kind is Kind.HOLD:
         inside = slice(parts[0].start, parts[0].stop)
@@ -299,7 +304,7 @@ def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
             settled = parts[0].start + int(far[-1]) + 1
             return [Part(Kind.APPROACH, parts[0].start, settled), replace(parts[0], start=settled), *parts[1:]]
     for number, part in enumerate(parts):
-        if part.kind is Kind.SCAN and all(before.kind is Kind.HOLD for before in parts[:number]):
+        if part.kind in (Kind.SCAN, Kind.PATH) and all(before.kind is Kind.HOLD for before in parts[:number]):
             inside = slice(part.start, part.stop)
             first = part.start + scan_start(reference[inside], displacement[inside])
             if first > part.start:

@@ -99,6 +99,27 @@ def test_what_repeats_has_its_period(frequency, shape, kind):
     assert part["periods"] in (int(frequency) - 1, int(frequency))
 
 
+@pytest.mark.parametrize("periodic", [True, False])
+def test_a_start_that_outlasts_the_first_reversal_is_not_judged(periodic):
+    # the axis rests 1 µm below the scan until 0.25 s, then approaches it; 20 nm of error remain
+    number = np.arange(2000)
+    time = number / RATE
+    reference = np.tile(TRIANGLE, 2) if periodic else 1e-5 * np.sin(20.0 * time + 6.0 * time**2) ** 2
+    reference = reference + 5e-6
+    away = np.where(number < 250, reference - 4e-6, (reference[250] - 4e-6) * np.exp(-(number - 250) / 10.0))
+    steady = 20e-9 * np.sin(2.0 * np.pi * number / 40)
+    figures = compute_metrics(run(reference, reference - away - steady))
+    assert max(np.abs(away[100:])) > 5 * abs(away[0]), "the error grows beyond that of the jump"
+    assert figures["max_error_m"] < 0.3e-6 and figures["rms_error_m"] == pytest.approx(14e-9, rel=0.3)
+    (note,) = [note for note in figures["notes"]["recording"] if "the axis follows from this reversal on" in note]
+    approach, rest = figures["parts"]
+    assert approach["part"] == "approach" and 0.25 < approach["to_s"] < 0.45
+    assert rest["part"] == ("scan" if periodic else "path") and rest["max_error_m"] < 0.3e-6
+    # errors that come back later, as large as those of the start, count
+    later = np.where((number > 1200) & (number < 1250), 8e-6, 0.0)
+    assert compute_metrics(run(reference, reference - away - steady - later))["max_error_m"] > 8e-6
+
+
 def test_two_tones_repeat_after_all_of_their_reversals():
     (part,) = compute_metrics(run(np.sin(10.0 * np.pi * TIME) + 0.7 * np.sin(30.0 * np.pi * TIME + 1.0)))["parts"]
     assert part["part"] == "scan" and part["period_s"] == pytest.approx(0.2)
