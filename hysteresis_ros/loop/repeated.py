@@ -68,6 +68,14 @@ def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Co
             f"{name}: contains no configuration, so its axis is unknown; verify the bag of 'up --record', or the .npz "
             "of 'simulate -o'"
         )
+    of_axes = [f"{axis}/" for axis in recorded.axes] or [""]
+    needed = [f"{axis}{signal}" for axis in of_axes for signal in ("setpoint", "voltage")]
+    lacking = [signal for signal in needed if signal not in recorded]
+    if lacking:
+        raise RecordingError(
+            f"{name}: has no {' and no '.join(lacking)}: it contains a part of the signals, as the recordings of "
+            "'commission' do, and cannot be repeated; verify the bag of 'up --record', or the .npz of 'simulate -o'"
+        )
     configuration = parse_configuration(text, name)
     notes: list[str] = []
     words = recorded.metadata.get("files", {})

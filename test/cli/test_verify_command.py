@@ -65,6 +65,15 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
     assert code == 2 and "no such file" in line
 
 
+def test_a_recording_without_setpoints_is_refused(tmp_path):
+    run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
+    del run.signals["setpoint"], run.units["setpoint"]
+    for named, said in ((run, "has no setpoint:"), (Recording.of_axes({"x": run}, run.metadata), "has no x/setpoint:")):
+        save_run(named, tmp_path / "run.npz")
+        code, line = verify(tmp_path / "run.npz")
+        assert code == 2 and said in line and "verify the bag of 'up --record'" in line
+
+
 @pytest.fixture
 def scanned(tmp_path):
     """Return a function that records a lockstep run along a file with some empty lines, and returns that file."""
