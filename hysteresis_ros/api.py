@@ -1152,7 +1152,7 @@ def scan_run(
     if scan is None:
         return None
     places = [parameters.names.index(name) for name in names]
-    if run.metadata.get("source") == "offline simulation":
+    if run.is_simulated:
         time, displacement = displacements_between(parameters, run)
         sample = np.minimum(((time - time[0]) * parameters.sample_rate + 1e-6).astype(int), len(run) - 1)
         moment = time + _delays_of_path(run, names, np.arange(len(run)) / parameters.sample_rate, parameters)[sample]

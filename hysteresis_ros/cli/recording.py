@@ -164,9 +164,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     repeated: Any = recorded_stage if run.axes else recorded_axis
     compared: Any = stage_differences if run.axes else differences
     with repeated(run, str(recording)) as (found, notes):
-        simulated = run.metadata.get("source") == "offline simulation"
         mode = found.stage.time_mode if run.axes else found.plant_simulator.time_mode
-        if not simulated and mode == "realtime":
+        if not run.is_simulated and mode == "realtime":
             raise RecordingError(
                 f"{recording}: was run in real time, so its result depends on the times of messages; only lockstep and "
                 "fused runs can be repeated"

@@ -34,7 +34,7 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
 from hysteresis_ros.models.declaration import Deviation
-from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance, requests_per_sample
+from hysteresis_ros.recordings.dataset import SIMULATED, Recording, note_output, output_tolerance, requests_per_sample
 
 #: Largest allowed mismatch, at which every drawn parameter keeps its sign with a margin.
 LARGEST = 0.5
@@ -164,7 +164,7 @@ def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str,
     return {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
-        "source": "offline simulation",
+        "source": SIMULATED,
         "joint": parameters.plant_simulator.joint,
     }
 
@@ -217,15 +217,16 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
     Two things are taken from the recording: the measurements of a device, and whether the device could be made safe
-    after a failure. Everything else is computed again.
+    after a failure. Everything else is computed again, in an offline run also the simulated device.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     given["pulses"] = recorded.signals.get("trigger_in")
-    if parameters.plant_simulator.driver:
+    driven = bool(parameters.plant_simulator.driver) and not recorded.is_simulated
+    if driven:
         given["answers"] = answers_of(recorded)
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     # a device's true displacement is unknown
-    unknown = {"displacement"} if parameters.plant_simulator.driver else set()
+    unknown = {"displacement"} if driven else set()
     if parameters.displacement_camera is not None:
         unknown = {"measured"}  # in a recording this signal is the controller's input, not the plant's output
     return unequal(recorded, twin, unknown)

@@ -27,7 +27,7 @@ from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.loop.stage_response import check_scan
 from hysteresis_ros.models.linear import StateSpace
-from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
+from hysteresis_ros.recordings.dataset import SIMULATED, Recording, note_output, output_tolerance
 
 #: Number of instants within each sample at which displacements are computed.
 INSTANTS = 5
@@ -77,7 +77,7 @@ def simulate_stage(
     metadata = {
         "configuration": parameters.configuration_text(),
         "namespace": parameters.namespace,
-        "source": "offline simulation",
+        "source": SIMULATED,
         "stage": f"{parameters.namespace}/{STAGE}",
     }
     return Recording.of_axes(axes, metadata)
@@ -96,7 +96,7 @@ def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[
     See :func:`differences`.
     """
     axes = {name: recorded.axis(name) for name in parameters.names}
-    driven = parameters.is_driven
+    driven = parameters.is_driven and not recorded.is_simulated
     twin = simulate_stage(
         parameters,
         answers={name: answers_of(one) for name, one in axes.items()} if driven else None,

@@ -24,6 +24,8 @@ from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MOD
 
 #: Duration that is always allowed [sample times], and largest ratio of a longer duration to the number of samples.
 SMALL, RATIO = 1_000_000, 100
+#: Source of the recording of an offline run, in its metadata.
+SIMULATED = "offline simulation"
 #: Names of the figures for the lateness of samples, with their percentiles [%].
 LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
 
@@ -171,6 +173,11 @@ class Recording:
     def notes(self) -> list[str]:
         """Notes for the user (true displacement unknown, samples missing, bag truncated …)."""
         return list(self.metadata.get("notes", ()))
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the run was simulated offline, where a device is simulated too."""
+        return self.metadata.get("source") == SIMULATED
 
     @property
     def configuration(self) -> str:

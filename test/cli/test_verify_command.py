@@ -29,6 +29,9 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.recordings.provenance import LARGEST, packed_files
 
+#: A device moves to its first voltage within its safe slew rate, but its simulation does so at once.
+DEVICE = {"driver": "simulated", "safe_slew_rate": 1.0}
+
 
 def verify(path):
     result = CliRunner().invoke(main, ["verify", str(path)])
@@ -36,10 +39,10 @@ def verify(path):
     return result.exit_code, result.output
 
 
-@pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
-def test_a_simulated_run_is_repeated(tmp_path, name):
-    path = tmp_path / "run.npz"
-    save_run(simulate(single_axis(load_configuration(name)), duration=0.02), path)
+@pytest.mark.parametrize(("name", "plant"), [("kim2009", {}), ("kim2009", DEVICE), ("inchworm_travel", {})])
+def test_a_simulated_run_is_repeated(tmp_path, name, plant):
+    path, configuration = tmp_path / "run.npz", load_configuration(name).override("plant_simulator", **plant)
+    save_run(simulate(single_axis(configuration), duration=0.02), path)
     samples = load_run(path).time.size
     assert verify(path) == (0, f"{path}: {samples} samples equal the offline twin bit for bit, none missing\n")
 
