@@ -157,7 +157,7 @@ def _say_triggers(recording, axis: str = "") -> None:
         click.echo(f"{axis}{found.sample.size} triggers from {first:.9g} to {last:.9g} s{lost}")
 
 
-def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
+def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, asked) -> None:
     """Run a stage, write its recording, and print the errors of its axes and those that a scan causes in others."""
     from hysteresis_ros.analysis.metrics import axes_figures
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
@@ -169,7 +169,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
     from hysteresis_ros.recordings.files import load_run, save_run
     from hysteresis_ros.units import readable
 
-    parameters = chosen_stage(configuration, faults, None if scans and not faults else namespace)
+    parameters = chosen_stage(configuration, faults, namespace, asked)
     for warning in (*parameters.warnings(), *scan_warnings(parameters)):
         click.echo(f"hysteresis: warning: {warning}", err=True)
     replayed = None

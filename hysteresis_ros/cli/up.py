@@ -136,7 +136,7 @@ def up(
     with reference.named():
         if coupled:
             asked = bool(reference.kind or triggers)
-            stage = _stage(configuration, faults, namespace if faults or not asked else None, duration)
+            stage = _stage(configuration, faults, namespace, asked, duration)
             stage = stage.in_time() if rate is None and processes is None else stage
             require_messages(stage)
             found = list(stage.axes)
@@ -177,12 +177,12 @@ def up(
         _verify(graph)
 
 
-def _stage(configuration, faults, namespace: str | None, duration: float | None):
+def _stage(configuration, faults, namespace: str | None, asked: bool, duration: float | None):
     """Return the stage of a configuration, with faults in the axis that ``namespace`` names."""
     from hysteresis_ros.loop.stage_response import scan_warnings
     from hysteresis_ros.loop.stage_simulation import chosen_stage
 
-    stage = chosen_stage(configuration, faults, namespace)
+    stage = chosen_stage(configuration, faults, namespace, asked)
     for warning in scan_warnings(stage):
         click.echo(f"hysteresis: warning: {warning}", err=True)
     return stage if duration is None else stage.with_duration(duration)

@@ -179,16 +179,23 @@ def continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
     return found
 
 
-def chosen_stage(configuration: Configuration, faults: tuple[str, ...], namespace: str | None) -> StageParameters:
-    """Return the stage of a configuration, with faults in the axis that ``namespace`` names."""
+def chosen_stage(
+    configuration: Configuration, faults: tuple[str, ...], namespace: str | None, asked: bool = False
+) -> StageParameters:
+    """Return the stage of a configuration, with faults in the axis that ``namespace`` names.
+
+    ``asked``: the axis has already got a reference or triggers, so it needs no faults.
+    """
     parameters = StageParameters.from_configuration(configuration)
     check_scan(parameters)
     if faults and namespace is None:
         raise ConfigurationError(f"a fault of a stage needs the name of its axis, one of {', '.join(parameters.names)}")
-    if namespace is not None and not faults:
+    if namespace is not None:
+        parameters.place(namespace)  # refuses an unknown axis, which would lose its reference or triggers
+    if namespace is not None and not faults and not asked:
         raise ConfigurationError(
             f"the axes of a stage ({', '.join(parameters.names)}) run together: --namespace only selects the "
-            f"axis of --fault"
+            "axis of --fault, --reference and --trigger"
         )
     return parameters.with_faults(str(namespace), faults) if faults else parameters
 

@@ -123,6 +123,7 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
         (("--rate", "realtime"), "10000 samples/s are too many for the messages between the nodes of a stage"),
         (("--composed",), "10000 samples/s are too many for the messages between the nodes of a stage"),
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
+        (("--reference", "hold", "--namespace", "z", "--duration", "0.1"), "there is no axis 'z' in the stage"),
         (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
         (("width=20um",), "belongs to a scan: choose a scan, for instance --scan raster; --params-file FILE"),
@@ -151,6 +152,7 @@ def test_up_refuses_what_a_stage_cannot_do(words, message):
         (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1", "--namespace", "z"), "there is no axis 'z' in the stage: it has x, y"),
+        (("--trigger", "times=0.01s", "--namespace", "z"), "there is no axis 'z' in the stage: it has x, y"),
         (("--fault", "nonsense:0.1:0.1", "--namespace", "x"), "nonsense"),
     ],
 )
