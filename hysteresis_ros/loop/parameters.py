@@ -49,7 +49,7 @@ from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.moves import ReadyParameters, SettlingParameters
 from hysteresis_ros.references.triggers import TriggerParameters, longest_path, trigger_problems
-from hysteresis_ros.signals import ACTUATOR, INCHWORM, MOTOR_SOURCE, SOURCE, AxisKind, kind_of
+from hysteresis_ros.signals import ACTUATOR, COMPENSATOR, CONTROLLER, INCHWORM, MOTOR_SOURCE, SOURCE, AxisKind, kind_of
 
 
 @dataclass(frozen=True)
@@ -833,6 +833,12 @@ class AxisParameters:
                 parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
             except ParameterError as error:
                 problems += error.problems
+        # options of a command can give sections in every namespace to the other nodes
+        described = any(configuration.describes(name, namespace) for name in (CONTROLLER, COMPENSATOR))
+        there = configuration.namespaces()
+        if problems and not described and namespace not in there:
+            known = ", ".join(filter(None, there)) or "one axis without a namespace: omit --namespace"
+            raise ConfigurationError(f"{configuration.source}: has no axis in namespace '{namespace}'; it has {known}")
         if problems:
             raise ParameterError(problems)
         return cls.of_nodes(namespace, parts, coupled)

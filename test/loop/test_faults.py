@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -355,6 +356,16 @@ def test_two_sources_of_the_reference_are_refused():
     text = parameters("inchworm_travel").configuration_text()
     with pytest.raises(ConfigurationError, match="two reference generators"):
         configuration_of(text + "\n/reference_generator:\n  ros__parameters:\n    minimum: 0.0\n")
+
+
+@pytest.mark.parametrize(
+    ("space", "said"), [("", "one axis without a namespace: omit --namespace"), ("/left", "it has /left")]
+)
+def test_a_namespace_that_is_not_in_the_file_is_refused(space, said):
+    text = replace(parameters("kim2009"), namespace=space).configuration_text()
+    driven = parse_configuration(text, "axis.yaml").override("reference_generator", waveform__type="hold")
+    with pytest.raises(ConfigurationError, match=f"axis.yaml: has no axis in namespace '/foo'; .*{said}"):
+        single_axis(driven, "foo")
 
 
 # --------------------------------------------------------------------------------------------------------- bit for bit
