@@ -211,9 +211,9 @@ def closed_loop(
         unknown = response.at(angles / (2.0 * np.pi * sample_time))
         unknown = np.where(unknown > LEARNABLE, UNKNOWN, unknown)
         others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
-    pushed = centre * (1.0 + own * disturbed) / (1.0 - disturbed * (centre - own))
     model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))
-    return Response(model, np.array(found), pushed, 1.0 + own * disturbed)
+    noise = 1.0 + own * disturbed
+    return Response(model, np.array(found), own * asked, own * noise, noise)
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
@@ -359,13 +359,14 @@ def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray
 
 
 def settling(loop: Response) -> int:
-    """Return the settling time of the model's closed loop after a step [samples]."""
-    answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
+    """Return the settling time of the identified closed loop after a step [samples]."""
+    assert loop.identified is not None
+    answer = np.cumsum(np.abs(np.fft.irfft(loop.identified)))
     return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
 
 
 def knocked(loop: Response) -> int:
-    """Return the time in which the model's closed loop recovers from one wrong sample of the voltage [samples].
+    """Return the time in which the identified closed loop recovers from one wrong sample of the voltage [samples].
 
     It has recovered when the response stays below :data:`SETTLED` of its largest value.
     """

@@ -70,7 +70,10 @@ class Response(NamedTuple):
 
     model: np.ndarray  #: shape (m,); T on the model.
     possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
-    #: shape (m,); Response from the input of the plant to the displacement, in closed loop, for the model.
+    #: shape (m,); T on the identified model. It differs from ``model`` if that comes from a measured response, whose
+    #: noise seems never to decay in time.
+    identified: np.ndarray | None = None
+    #: shape (m,); Response from the input of the plant to the displacement, in closed loop, on the identified model.
     pushed: np.ndarray | None = None
     #: shape (m,); Response from the sensor's noise to the measured displacement, in closed loop, for the model.
     noise: np.ndarray | None = None

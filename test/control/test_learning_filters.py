@@ -102,7 +102,7 @@ def test_how_long_a_loop_answers_a_step_and_a_wrong_sample(pole, late):
     """A lag of pole a after some samples: 1 − a^k of a step is there, and a^k of a pulse is left, k samples later."""
     z = np.exp(1j * np.linspace(0.0, np.pi, 2**14 + 1))
     lag = z**-late * (1.0 - pole) / (1.0 - pole / z)
-    loop = Response(lag, lag[np.newaxis], lag)
+    loop = Response(lag, lag[np.newaxis], lag, lag)
     left = np.log(SETTLED) / np.log(pole)
     # the step has settled in the sample in which less than 2 % are missing; the pulse is over one sample later
     assert settling(loop) == late + np.ceil(left) - 1 and knocked(loop) == late + np.floor(left) + 1

@@ -27,6 +27,7 @@ from hysteresis_ros.designs.controller import DesignRequest, design_axis, design
 from hysteresis_ros.designs.learning import (
     POSSIBLE,
     LearningRequest,
+    MeasuredPlant,
     closed_loop,
     design_learning,
     expected_error,
@@ -180,6 +181,16 @@ def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_comman
         request = LearningRequest("inversion", period=0.2, possible=replace(POSSIBLE, draws=1))
         given = design_learning(axis, request).parameters
         assert 0.0 < given.late_recovery <= given.recovery, name
+
+
+def test_the_noise_of_a_measured_response_does_not_prolong_the_pauses_of_learning():
+    axis, request = single_axis(stage()), LearningRequest("inversion", period=0.2, bandwidth=20.0, possible=NEAR)
+    random = np.random.default_rng(1)
+    lines = np.linspace(1.0, 95.0, 95)
+    noisy = MeasuredPlant(lines, 1.0 + 0.1 * (random.standard_normal(95) + 1j * random.standard_normal(95)))
+    found, expected = (design_learning(axis, request, response).parameters for response in (noisy, None))
+    assert (found.recovery, found.late_recovery) == (expected.recovery, expected.late_recovery)
+    assert found.error_filter != expected.error_filter
 
 
 @pytest.mark.slow
