@@ -21,6 +21,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -309,8 +310,13 @@ class Graph:
         """Stop all running processes; kill those that do not exit in time.
 
         In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would break
-        the run.
+        the run. A signal takes effect when all have exited, because they still write to the caller's folders.
         """
+        with _signals_held_back():
+            self._stop()
+            self._stack.close()
+
+    def _stop(self) -> None:
         lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in self.axes)
         for names in [STOP_ORDER] if lockstep else [[name] for name in STOP_ORDER]:
             group = [node for node in self.processes if node.name in names and node.process.poll() is None]
@@ -323,7 +329,26 @@ class Graph:
                     node.process.kill()
                     node.process.wait()
             self.lost += [node for node in group if self.record is not None and node.process.returncode == 1]
-        self._stack.close()
+
+
+@contextlib.contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM take effect at the end; only the main thread receives them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, frame: received.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if received:
+        signal.raise_signal(received[0])
 
 
 def node_command(

@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Nodes started by ``ros2 launch`` or ``ros2 run`` exit with it, however it ends; other nodes continue."""
+"""Nodes exit with the process that started them, however it ends; those of others continue."""
 
 from __future__ import annotations
 
 import signal
+import subprocess
 import sys
 
 import pytest
@@ -20,7 +21,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
-from hysteresis_ros.nodes.launcher import starts_nodes  # noqa: E402
+from hysteresis_ros.nodes.launcher import Graph, NodeProcess, starts_nodes  # noqa: E402
 
 #: The behaviour of ``ros2``: start a process and wait for it.
 STARTER = "import subprocess, sys\nsys.exit(subprocess.call(sys.argv[2:]))\n"
@@ -70,3 +71,33 @@ def test_a_node_leaves_with_ros2_that_is_killed_and_another_child_of_others_stay
         assert children["tool"].is_running()
     finally:
         children["tool"].kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_nodes_are_stopped_takes_effect_when_all_have_exited(monkeypatch, number):
+    nodes = [subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"]) for _ in range(2)]
+    graph = Graph([axis_parameters(sample_rate=100.0)])
+    graph.processes = [
+        NodeProcess(name, "", node) for name, node in zip(("plant_simulator", "recorder"), nodes, strict=True)
+    ]
+    wait = subprocess.Popen.wait
+
+    def interrupted(process, *given):
+        signal.raise_signal(number)
+        return wait(process, *given)
+
+    def left(number, frame):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
+    before = signal.signal(number, left)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            graph.stop()
+        assert signal.getsignal(number) is left
+    finally:
+        signal.signal(number, before)
+        running = [node for node in nodes if node.poll() is None]
+        for node in running:
+            node.kill()
+    assert not running
