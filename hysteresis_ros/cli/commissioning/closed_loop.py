@@ -225,7 +225,7 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
     ratio = found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
-        f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.4g}: "
         f"{verdict(ratio, ERROR_AS_PREDICTED)}"
     ]
     judged = judged_samples(situation, configuration)
@@ -460,7 +460,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
         f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning, "
-        f"both against the undelayed reference; predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"both against the undelayed reference; predicted {1e9 * expected:.4g} nm, ratio {ratio:.4g}: "
         f"{verdict(ratio, ERROR_AS_PREDICTED)}",
         learned_line(learning, situation.rate, _signals(recording), scan_begin(situation), count),
     ]
@@ -531,7 +531,14 @@ def repetition_line(measured: np.ndarray, predicted: np.ndarray) -> str:
     if found <= ERROR_AS_PREDICTED * expected:
         return said
     causes = "disturbances, missed deadlines or instants that vary"
-    return f"{said}: {causes}; the model is evaluated on the part that repeats"
+    rest, modelled = (
+        math.sqrt(max(float(np.mean(errors**2)) - varying**2, 0.0))
+        for errors, varying in ((measured, found), (predicted, expected))
+    )
+    return (
+        f"{said}: {causes}; the part that repeats, which shows the accuracy of the model, is {1e9 * rest:.4g} nm RMS, "
+        f"predicted {1e9 * modelled:.4g} nm"
+    )
 
 
 def _signals(recording: Recording) -> dict[str, np.ndarray]:

@@ -278,7 +278,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
         ratio = found / model
         what = f"triangle of {readable(size, 'm')} at {situation.rate / period:.4g} Hz"
         lines.append(
-            f"{name}: {what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * model:.4g} nm, ratio {ratio:.3g}: "
+            f"{name}: {what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * model:.4g} nm, ratio {ratio:.4g}: "
             f"{verdict(ratio, ERROR_AS_PREDICTED)}"
         )
         figures[name] = {"rms_error_m": found, "predicted_rms_m": model, "ratio": ratio}
@@ -340,7 +340,7 @@ def judge_together(situation: StageSituation, recording: Recording) -> Outcome:
         found, model = (root_mean_square(one[name][judged]) for one in (errors, expected))
         ratio = found / model
         lines.append(
-            f"{name}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * model:.4g} nm, ratio {ratio:.3g}: "
+            f"{name}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * model:.4g} nm, ratio {ratio:.4g}: "
             f"{verdict(ratio, ERROR_AS_PREDICTED)}"
         )
         figures[name] = {"rms_error_m": found, "predicted_rms_m": model, "ratio": ratio}
