@@ -71,8 +71,7 @@ from hysteresis_ros.identification.stage_data import StageReading, loops_of, wit
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, INTERNAL, StageParameters
-from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
-from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.models.compensator import USED, CompensatorParameters, returned_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
@@ -99,9 +98,6 @@ CREEPING = 10.0
 #: A loop is slow because of its response if the relative uncertainty of the response exceeds UNSURE at a frequency up
 #: to NEAR times the bandwidth.
 UNSURE, NEAR = 0.5, 2.0
-#: Fraction of the range of motion that the references use; number of voltages in a sweep from one end of the range to
-#: the other.
-USED, SWEPT = 0.95, 500
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
 # /identification is not a node: it states where the numbers come from.
@@ -828,23 +824,11 @@ def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float
     return (np.array(_means(reading)[1]) - block.step(centre)).tolist()
 
 
-def _ends(compensator: CompensatorParameters, step: float) -> tuple[float, float]:
-    """Return the smallest and the largest displacement [m] that an actuator reaches when it comes from its other end.
-
-    An actuator with hysteresis does not return to its zero, so the first motion from there has a larger range.
-    """
-    if compensator.inverse.type == "none":
-        return reachable_commands(compensator, step)
-    low, high = compensator.limits.minimum, compensator.limits.maximum
-    way = np.concatenate([np.linspace(a, b, SWEPT) for a, b in ((low, high), (high, low), (low, high))])
-    reached = hysteresis_block(compensator.hysteresis, step).simulate(way)
-    ends = float(reached[2 * SWEPT - 1]), float(reached[-1])
-    return min(ends), max(ends)
-
-
 def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
     """Return ranges of the degrees of freedom [m] that can be reached repeatedly, and in any combination."""
-    ends = np.array([_ends(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators])
+    ends = np.array(
+        [returned_commands(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators]
+    )
     middle, half = ends.mean(axis=1), 0.5 * np.abs(np.diff(ends, axis=1))[:, 0]
     back = np.linalg.inv(decoupling)
     centre = back @ middle

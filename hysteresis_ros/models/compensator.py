@@ -307,6 +307,8 @@ class Compensator(Chain):
 
 #: Number of samples in one sweep of the voltage.
 SWEEP = 257
+#: Fraction of the range of an identified actuator that references use.
+USED = 0.95
 
 
 @lru_cache(maxsize=64)
@@ -333,6 +335,21 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
     """Return the smallest and largest displacement [m] that the compensator can reach at rest; ``sample_time`` [s]."""
     linear = compensator.inverse.type == "none"
     return _reached(compensator.hysteresis, compensator.limits, sample_time, linear)
+
+
+def returned_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] that the compensator reaches when it comes from its other end.
+
+    An actuator with hysteresis does not return to its zero, so the first motion from there has a larger range. Units:
+    ``sample_time`` [s].
+    """
+    if compensator.inverse.type == "none":
+        return reachable_commands(compensator, sample_time)
+    low, high = compensator.limits.minimum, compensator.limits.maximum
+    way = np.concatenate([np.linspace(a, b, SWEEP) for a, b in ((low, high), (high, low), (low, high))])
+    reached = hysteresis_block(compensator.hysteresis, sample_time).simulate(way)
+    ends = float(reached[2 * SWEEP - 1]), float(reached[-1])
+    return min(ends), max(ends)
 
 
 def commandable(compensator: CompensatorParameters, sample_time: float, *amplifiers: LimitsParameters):

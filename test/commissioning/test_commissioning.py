@@ -28,6 +28,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.compensator import returned_commands
 from hysteresis_ros.recordings.dataset import Recording
 
 
@@ -125,6 +126,11 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
     assert written.plant_simulator.limits.slew_rate > 0.0 and written.hysteresis_compensator.limits.slew_rate > 0.0
     assert not written.reference_generator.approach.unlimited
+    # the actuator does not return to its zero, and drifts, so the range is the middle part of what it reaches again
+    low, high = returned_commands(written.hysteresis_compensator, 1.0 / RATE)
+    used = written.generator.minimum, written.generator.maximum
+    assert low > 0.0 and used == pytest.approx((0.975 * low + 0.025 * high, 0.025 * low + 0.975 * high), rel=1e-3)
+    assert written.generator.initial_setpoint == used[0]
     assert written.recorder.sample_rate == RATE and written.recorder.joint == "stage"
     assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
     # the plant differs from the model: the prediction contains the part that the controller does not know

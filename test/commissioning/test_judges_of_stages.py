@@ -27,6 +27,7 @@ from hysteresis_ros.cli.commissioning.closed_loop import (
     STEP_HOLD,
     STEP_WAY,
     UNJUDGED_PERIODS,
+    closed_axis,
     judged_samples,
     learned_line,
     not_learned,
@@ -383,13 +384,17 @@ def test_the_largest_slew_rate_of_all_movements_counts_as_excited(situation):
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 8e-6), (-8e-6, 0.0), (-2e-6, 8e-6), (2e-6, 8e-6)])
 def test_references_of_closed_loops_begin_at_rest_and_go_to_the_farther_end(situation, low, high):
-    configuration = situation.configuration.override("reference_generator", minimum=low, maximum=high)
+    ends = {"minimum": low, "maximum": high, "initial_setpoint": max(0.0, low)}
+    configuration = situation.configuration.override("reference_generator", **ends)
     situation.plan = replace(situation.plan, scan_stroke=3e-6)
-    rest, period = min(max(0.0, low), high), scan_period(situation)
+    rest, period = 0.0, scan_period(situation)
     far = high if high - rest >= rest - low else low
     scan = scan_reference(situation, configuration)
     first, count = scan_begin(situation), UNJUDGED_PERIODS + JUDGED_PERIODS
-    assert scan[0] == scan[-1] == rest and low - 1e-15 <= scan.min() and scan.max() <= high + 1e-15
+    assert scan[0] == scan[-1] == rest and min(low, rest) - 1e-15 <= scan.min() and scan.max() <= high + 1e-15
+    if low >= 0.0:  # the model reaches 0 … 10 µm; an axis may rest outside its range, and begins there
+        followed = closed_axis(situation, configuration, "scan", scan).generator
+        assert followed.minimum == rest and followed.maximum == high
     triangles = scan[first : first + count * period].reshape(count, period)
     # about the middle of the range, from peak to peak 3 µm, at a constant speed
     np.testing.assert_allclose(triangles, triangles[:1].repeat(count, axis=0), atol=1e-18)
@@ -402,7 +407,7 @@ def test_references_of_closed_loops_begin_at_rest_and_go_to_the_farther_end(situ
     ends = [3 * held - 1, *(3 * held + k * (held + moved) - 1 for k in (1, 2, 3))]
     levels = rest + np.array([0.1, 0.2, 0.3, 0.2]) * (far - rest)
     np.testing.assert_allclose(steps[ends], levels, atol=1e-18)
-    assert steps[0] == steps[-1] == rest and low <= steps.min() and steps.max() <= high
+    assert steps[0] == steps[-1] == rest and min(low, rest) <= steps.min() and steps.max() <= high
     # every way takes its time, that to the first step and that back to rest too
     assert steps.size == 8 * held + 3 * moved
     assert np.abs(np.diff(steps)).max() < 1.01 * np.pi / 2.0 * 0.2 * abs(far - rest) / min(held, moved)

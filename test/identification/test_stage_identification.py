@@ -37,7 +37,6 @@ from hysteresis_ros.designs.stage_frequency_response import (  # noqa: E402
     save_stage_response,
 )
 from hysteresis_ros.designs.stage_identification import (  # noqa: E402
-    USED,
     StageRequest,
     _ranges,
     identify_stage,
@@ -62,7 +61,7 @@ from hysteresis_ros.identification.stage_data import (  # noqa: E402
 from hysteresis_ros.loop.parameters import part  # noqa: E402
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage  # noqa: E402
-from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands  # noqa: E402
+from hysteresis_ros.models.compensator import USED, CompensatorParameters, reachable_commands  # noqa: E402
 from hysteresis_ros.models.hysteresis import hysteresis_block  # noqa: E402
 from hysteresis_ros.recordings.dataset import Recording  # noqa: E402
 from hysteresis_ros.recordings.files import save_run  # noqa: E402

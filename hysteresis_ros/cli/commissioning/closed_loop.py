@@ -43,7 +43,7 @@ from hysteresis_ros.errors import HysteresisError, IdentificationError, Recordin
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation
 from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.loop.parameters import AxisParameters
-from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, way, write_samples
@@ -80,11 +80,10 @@ def _reach(situation: Situation, configuration: Configuration) -> tuple[float, f
 def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
     """Return the scan [m]: the ramp to the low end of the triangles, the triangles, and the ramp back to rest."""
     begin, size = _scanned(situation, configuration)
-    low, high = _reach(situation, configuration)
     period, rate = scan_period(situation), situation.rate
     phase = np.arange(1, (unjudged + JUDGED_PERIODS) * period + 1) / period
     triangle = begin + size * 2.0 * np.abs(phase - np.round(phase))
-    rest = _resting_reference(low, high)
+    rest = _resting_reference(situation, configuration)
     parts = [hold(rest, STEP_HOLD, rate), way(rest, begin, STEP_HOLD, rate), hold(begin, STEP_HOLD, rate), triangle]
     return np.concatenate([*parts, way(begin, rest, STEP_HOLD, rate), hold(rest, STEP_HOLD, rate)])
 
@@ -101,15 +100,16 @@ def _scanned(situation: Situation, configuration: Configuration) -> tuple[float,
     return 0.5 * (low + high - size), size
 
 
-def _resting_reference(low: float, high: float) -> float:
-    """Return the reference [m] at which a run begins and ends."""
+def _resting_reference(situation: Situation, configuration: Configuration) -> float:
+    """Return the reference [m] at which a run begins and ends; it may be outside the range of the axis."""
+    low, high = reachable_displacements(single_axis(configuration, situation.axis.namespace))
     return min(max(0.0, low), high)
 
 
 def steps_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
     """Return the setpoints of the small steps in closed loop [m]."""
     low, high = _reach(situation, configuration)
-    rest, rate = _resting_reference(low, high), situation.rate
+    rest, rate = _resting_reference(situation, configuration), situation.rate
     far = high if high - rest >= rest - low else low
     place = rest + FIRST_STEP * (far - rest)
     parts = [hold(rest, STEP_HOLD, rate), way(rest, place, STEP_HOLD, rate), hold(place, STEP_HOLD, rate)]
@@ -129,6 +129,9 @@ def closed_axis(
     """
     path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate)
     configuration = following(configuration, path)
+    low, high = _reach(situation, configuration)
+    ends = {"minimum": min(low, float(np.min(reference))), "maximum": max(high, float(np.max(reference)))}
+    configuration = configuration.override("reference_generator", **ends)
     if situation.has_device:
         configuration = configuration.override("plant_simulator", overtravel=OVERTRAVEL * situation.plan.stroke)
     axis = single_axis(configuration, situation.axis.namespace)
@@ -274,11 +277,11 @@ PLANE = 3.0
 
 def _played_reference(situation: Situation, configuration: Configuration) -> tuple[np.ndarray, Plan, float]:
     """Return the reference [m], the samples of the excitation in it, and its peak [m]."""
-    values = configuration.node("reference_generator", situation.axis.namespace)
-    low, high = values["minimum"], values["maximum"]
+    low, high = _reach(situation, configuration)
     samples, plan = excitation(EXPERIMENT, situation.rate)
     peak = situation.plan.small * (high - low)
-    reference, plan = around(samples, peak, 0.5 * (low + high), min(max(0.0, low), high), situation.rate, plan)
+    rest = _resting_reference(situation, configuration)
+    reference, plan = around(samples, peak, 0.5 * (low + high), rest, situation.rate, plan)
     return reference, plan, peak
 
 

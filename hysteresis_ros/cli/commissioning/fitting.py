@@ -32,6 +32,7 @@ from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.workflow import Fast, Identified, identify
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.compensator import USED, CompensatorParameters, returned_commands
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import readable
 
@@ -178,6 +179,9 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         # here the limits of motion are computed from all recordings, in the identified file only from some of them
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
+    nodes[f"{namespace}/reference_generator"] |= _used_range(
+        nodes[f"{namespace}/hysteresis_compensator"], situation.rate
+    )
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")
     for section in (SECTION, PLAN_SECTION):
         source = identified if section == SECTION else situation.configuration
@@ -189,6 +193,19 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
     text = with_safe_motion(text, "the identified axis", namespace, excited(situation), plan.amplifier)
     single_axis(parse_configuration(text, "the identified axis"), namespace)
     return text
+
+
+def _used_range(compensator: dict, rate: float) -> dict[str, float]:
+    """Return the range of the reference [m]: the middle part of what the actuator reaches repeatedly.
+
+    Units: ``rate`` [Hz].
+    """
+    names = {row.name for row in CompensatorParameters.table()}
+    known = CompensatorParameters.from_mapping({name: value for name, value in compensator.items() if name in names})
+    low, high = returned_commands(known, 1.0 / rate)
+    unused = 0.5 * (1.0 - USED) * (high - low)
+    low, high = float(f"{low + unused:.4g}"), float(f"{high - unused:.4g}")
+    return {"minimum": low, "maximum": high, "initial_setpoint": min(max(0.0, low), high)}
 
 
 def excited(situation: Situation) -> float:
