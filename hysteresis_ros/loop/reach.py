@@ -24,6 +24,10 @@ are experiments and are not checked. The checks are:
   as long as the stroke suffices. Waveforms with jumps (square) are steps and not checked.
 - A response that lags by d samples (the relative degree) has an error of 2 sin(π f d Ts) times the amplitude. From f =
   1/(6 d Ts) on, the error is larger than the amplitude. Only ``inverse_dynamics`` avoids this delay, by its preview.
+- The velocity of the waveform, divided by the mean gain of the model, must be within the slew rate of the voltage.
+
+The last check also warns of the other waveforms, and in open loop. A step has the time until the next one for its
+change.
 """
 
 from __future__ import annotations
@@ -40,13 +44,15 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
-from hysteresis_ros.units import micrometres
+from hysteresis_ros.units import micrometres, readable
 
 #: Tolerance of a reference beyond the stroke, as a fraction of the stroke, for rounding and integrated sweeps.
 TOLERANCE = 1e-4
 #: Tolerance of a fundamental's command beyond the stroke, as a fraction of the stroke, within which only the peaks of
 #: the waveform saturate.
 CUT_PEAKS = 0.1
+#: Fewest samples of a period that show both of its extremes.
+FEWEST_SAMPLES = 4
 
 
 def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
@@ -77,7 +83,11 @@ def check_reach(axis: AxisParameters) -> None:
         raise ParameterError(named) from None
     problems = [*_bare_steps(axis, given), *_beyond_stroke(axis, given, generator)]
     if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
-        problems = [*_too_late(axis, given), *_too_fast(axis, given, generator, CUT_PEAKS)]
+        problems = [
+            *_too_late(axis, given),
+            *_too_fast(axis, given, generator, CUT_PEAKS),
+            *([] if given.waveform.shape.jumps else _too_steep(axis, given, generator, CUT_PEAKS)),
+        ]
     if problems:
         raise ParameterError(problems)
 
@@ -102,6 +112,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         found += [str(problem) for problem in _too_fast(axis, given, generator, TOLERANCE)]
+    found += steep_warnings(axis)
     problem = generator.unreached_level()
     return (*found, f"reference_generator: {problem}") if problem else tuple(found)
 
@@ -174,6 +185,47 @@ def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, m
             "or amplitude"
         )
         yield Problem("reference_generator: waveform.frequency", waveform.frequency, remedy)
+
+
+def _too_steep(axis, given: ReferenceParameters, generator: ReferenceGenerator, margin: float):
+    waveform, shape, limits = given.waveform, given.waveform.shape, axis.hysteresis_compensator.limits
+    if shape.jumps and given.approach.steps and not given.approach.unlimited:
+        return  # the approach limits the velocity
+    low, high = reachable_displacements(axis)
+    gain = (high - low) / (limits.maximum - limits.minimum)
+    rates = (node.limits.slew_rate for node in (axis.plant_simulator, axis.hysteresis_compensator))
+    slew = min((one for one in rates if one > 0.0), default=math.inf)
+    velocity = generator.largest_velocity
+    if not velocity > gain * slew * (1.0 + margin):
+        return
+    name, value = shape.extent, waveform.to_mapping()[shape.extent]
+    remedy = "make it slower or smaller"
+    if shape.periodic:
+        name, value = "frequency", waveform.frequency
+        slow = replace(waveform, frequency=1e-3 / generator.sample_time)
+        share = gain * slew / ReferenceGenerator(replace(given, waveform=slow), generator.sample_time).largest_velocity
+        smaller = readable(waveform.amplitude * gain * slew / velocity, "m")
+        remedy = f"lower it to {slow.frequency * share:.4g} Hz, or amplitude to {smaller}"
+    yield Problem(
+        f"reference_generator: waveform.{name}",
+        value,
+        f"the {waveform.type} needs {readable(velocity / gain, 'V')}/s, but limits.slew_rate allows "
+        f"{readable(slew, 'V')}/s; {remedy}",
+    )
+
+
+def steep_warnings(axis: AxisParameters) -> tuple[str, ...]:
+    """Return the warnings about a waveform that the slew rate limits, or that has too few samples a period."""
+    given, rate = part(axis.generator, ReferenceParameters), axis.plant_simulator.sample_rate
+    found = [*_too_steep(axis, given, ReferenceGenerator(given, 1.0 / rate), TOLERANCE)]
+    waveform = given.waveform
+    if waveform.shape.periodic and FEWEST_SAMPLES * waveform.frequency > rate:
+        remedy = (
+            f"{rate / waveform.frequency:.3g} samples a period do not show the {waveform.type}; lower it to "
+            f"{rate / FEWEST_SAMPLES:g} Hz, or raise sample_rate"
+        )
+        found.append(Problem("reference_generator: waveform.frequency", waveform.frequency, remedy))
+    return tuple(map(str, found))
 
 
 def axes(configuration: Configuration, namespace: str | None = None) -> list[AxisParameters]:

@@ -216,7 +216,7 @@ class FusedAxis:
 
     def _given(self) -> AxisParameters | StageParameters:
         """Return the present parameters of the nodes of the axis, or of all axes of the stage."""
-        found = tuple(one._parameters() for one in self.together)
+        found = tuple(one.present_parameters() for one in self.together)
         return found[0] if self._stage is None else replace(self._stage, axes=found)
 
     @contextlib.contextmanager
@@ -229,7 +229,8 @@ class FusedAxis:
         finally:
             report.cancel()
 
-    def _parameters(self) -> AxisParameters:
+    def present_parameters(self) -> AxisParameters:
+        """Return the present parameters of the nodes of the axis."""
         plant = self.plant
         parts = {name: self.nodes[name].parameters for name in plant.axis_kind.nodes}
         recorder = self.nodes["recorder"].parameters if "recorder" in self.nodes else RecorderNodeParameters()

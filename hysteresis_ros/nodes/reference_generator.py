@@ -22,12 +22,14 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros import signals
 from hysteresis_ros.loop.parameters import ReferenceNodeParameters
+from hysteresis_ros.loop.reach import steep_warnings
 from hysteresis_ros.loop.source import GeneratorSource, refer
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STOPPED
@@ -269,7 +271,14 @@ class ReferenceGeneratorNode(ReferenceSource):
         if parameters.waveform != self.parameters.waveform:
             if self.is_fused:
                 self.fused.show()  # publishes the samples of the previous waveform
+                self.warn_of_slope(parameters)
             self.follow_scan(parameters.waveform)
+
+    def warn_of_slope(self, parameters) -> None:
+        """Warn of a waveform that the slew rate of the voltage limits; only a fused axis knows its other nodes here."""
+        axis = replace(self.fused.present_parameters(), reference_generator=parameters)
+        if found := steep_warnings(axis):
+            self.warn("steep", "; ".join(found))
 
     def follow_scan(self, waveform) -> None:
         """Let the clock follow the scan of a waveform; without a scan the clock is silent."""

@@ -339,11 +339,18 @@ class ReferenceGenerator(Chain):
         """Whether no setpoint or trajectory was received since :meth:`begin_at`."""
         return bool(self.xs.trajectory[following.TARGET] == self._begun)
 
-    def unreached_level(self) -> Problem | None:
-        """Return a Problem if the limits of the approach do not let a step of the waveform reach its level in time."""
+    @property
+    def largest_velocity(self) -> float:
+        """Largest velocity of the waveform without an approach [m/s]; a step has the time until the next one."""
+        distances, available = self._changes()
+        return float(np.max(distances / available, initial=0.0))
+
+    def _changes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the changes of the waveform without an approach [m], and the time until the next change of each [s].
+
+        A continuous waveform changes with every sample.
+        """
         own, shape = self.parameters, self.parameters.waveform.shape
-        if not shape.jumps or not own.approach.steps or own.approach.unlimited:
-            return None
         waveform = Waveform(own.waveform, self.sample_time)
         samples = waveform.period or waveform.duration_samples
         if not samples and shape.takes_frequency:
@@ -351,11 +358,17 @@ class ReferenceGenerator(Chain):
         # two periods, because the first step of a period begins at the last level of the previous period
         levels = waveform.simulate(np.zeros(min(2 * samples, MOST_SAMPLES)))
         starts = np.flatnonzero(np.diff(levels)) + 1
-        if starts.size < 2:
+        return np.abs(levels[starts] - levels[starts - 1])[:-1], np.diff(starts) * self.sample_time
+
+    def unreached_level(self) -> Problem | None:
+        """Return a Problem if the limits of the approach do not let a step of the waveform reach its level in time."""
+        own, shape = self.parameters, self.parameters.waveform.shape
+        if not shape.jumps or not own.approach.steps or own.approach.unlimited:
             return None
-        distances = np.abs(levels[starts] - levels[starts - 1])[:-1]
+        distances, available = self._changes()
+        if not distances.size:
+            return None
         needed = np.array([self.approach.duration(distance) for distance in distances.tolist()])
-        available = np.diff(starts) * self.sample_time
         worst = int(np.argmax(needed - available))
         if needed[worst] <= available[worst]:
             return None

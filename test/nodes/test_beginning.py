@@ -96,3 +96,18 @@ def test_a_generator_warns_of_steps_that_it_cannot_follow_within_its_limits():
         ReferenceGeneratorNode._connect_part(node)
     (text,) = said
     assert "waveform.frequency = 150.0" in text and "its level is not reached" in text
+
+
+def test_a_fused_generator_warns_of_a_changed_waveform_that_exceeds_the_slew_rate():
+    said = []
+    given = axis_parameters(overrides={"plant_simulator": {"limits__slew_rate": 2000.0}})
+    node = SimpleNamespace(
+        warn=lambda _, text: said.append(text), fused=SimpleNamespace(present_parameters=lambda: given)
+    )
+    for frequency in (5.0, 150.0):
+        waveform = {"type": "triangle", "frequency": frequency, "amplitude": 4e-6}
+        asked = {f"waveform__{name}": value for name, value in waveform.items()}
+        changed = axis_parameters(overrides={"reference_generator": asked}).generator
+        ReferenceGeneratorNode.warn_of_slope(node, changed)
+    (text,) = said
+    assert "waveform.frequency = 150.0" in text and "limits.slew_rate allows 2000 V/s" in text

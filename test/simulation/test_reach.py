@@ -191,6 +191,35 @@ def test_a_warning_names_steps_whose_level_is_not_reached_before_the_next_one(ki
     assert found[0] is np.False_ and found[-1] is np.True_
 
 
+def test_a_waveform_that_the_slew_rate_limits_is_named_with_what_it_allows():
+    """Kim's model has 0.1015 µm/V between -30 and 120 V; a triangle of 4 µm at 100 Hz needs 7.88 kV/s."""
+    low, high = reachable_displacements(axis())
+    needed = 2.0 * 4e-6 * 100.0 * 150.0 / (high - low)
+    open_loop = {"motion_controller": {"type": "open_loop"}}
+
+    def given(share, kind="triangle", **more):
+        limits = {"limits__slew_rate": needed / share}
+        return {"plant_simulator": limits, "reference_generator": sine(4e-6, 100.0, 3e-6, kind, **more)}
+
+    assert reach_warnings(axis(**given(0.999))) == ()
+    (closed,) = reach_warnings(axis(**given(1.05)))
+    with pytest.raises(ParameterError, match=r"reference_generator: waveform\.frequency = 100\.0: the triangle needs"):
+        axis(**given(2.0))
+    (opened,) = reach_warnings(axis(**given(2.0), **open_loop))
+    for text, share in ((closed, 1.05), (opened, 2.0)):
+        assert f"lower it to {100.0 / share:.4g} Hz, or amplitude to {4.0 / share:.4g} µm" in text
+    # a bare square has half a period for its step; one that the approach shapes is judged by the approach
+    (square,) = reach_warnings(axis(**given(2.0, "square")))
+    shaped = {"approach__steps": True, "approach__maximum_velocity": 1e-2}
+    assert "the square needs" in square and reach_warnings(axis(**given(2.0, "square", **shaped))) == ()
+
+
+def test_a_period_of_fewer_than_four_samples_is_a_warning():
+    changed = {"reference_generator": sine(1e-7, 900.0, 1e-6), "motion_controller": {"type": "open_loop"}}
+    (text,) = reach_warnings(axis(**changed))
+    assert "frequency = 900.0: 3.33 samples a period do not show the sine; lower it to 750 Hz" in text
+
+
 def test_a_short_preview_is_a_warning_of_the_axis():
     changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 2}
     (doubt,) = reach_warnings(axis(motion_controller=changed, reference_generator={"waveform__type": "hold"}))
