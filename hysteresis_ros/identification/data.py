@@ -82,6 +82,21 @@ def implausible_units(
         )
 
 
+def swapped(span: float, stroke: float, units: tuple[str, str]) -> bool:
+    """Return whether voltage and displacement, and their ratio, are plausible only with the columns exchanged.
+
+    Units: ``span`` [V], ``stroke`` [m].
+    """
+    return (
+        units == ("V", "m")
+        and span < VOLTAGES[0]
+        and stroke > STROKES[1]
+        and STROKES[0] <= span <= STROKES[1]
+        and VOLTAGES[0] <= stroke <= VOLTAGES[1]
+        and GAINS[0] <= span / stroke <= GAINS[1]
+    )
+
+
 def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
     """Yield a warning if turning points may fall between the samples."""
     if reversals < 2:
@@ -121,8 +136,8 @@ class DataError(IdentificationError):
 class Finding:
     """One finding of a check."""
 
-    #: ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
-    #: ``jitter``, ``reading`` …
+    #: ``short``, ``constant``, ``nan``, ``uniform``, ``swapped``, ``clipping``, ``unit``, ``coarse``, ``delay``,
+    #: ``drift``, ``jitter``, ``reading`` …
     check: str
     severity: str  #: ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
     message: str  #: Sentence with numbers and units.
@@ -206,6 +221,12 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
             if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
                 text = f"the {role} is constant ({values[0]:.6g} {unit}); excite the actuator and record again"
                 found.append(Finding("constant", "error", text))
+    if u.size and swapped(np.ptp(u), np.ptp(y), units):
+        text = (
+            f"the columns seem swapped: the voltage spans {np.ptp(u):.3g} V and the displacement {np.ptp(y):.3g} m; "
+            "exchange --input and --output, or the names of the columns in the file"
+        )
+        found.append(Finding("swapped", "error", text))
     if u.size and not any(item.check in ("constant", "short") for item in found):
         numbers["clipped_u"], numbers["clipped_y"] = clipped_share(u), clipped_share(y, u)
         for role, values, unit, share in (

@@ -103,6 +103,15 @@ def test_what_is_unclear_is_asked_for(tmp_path, choices, words):
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
+def test_swapped_columns_are_refused():
+    with pytest.raises(DataError, match=r"seem swapped: the voltage spans .* exchange --input and --output") as error:
+        IdentificationData(TIME, DISPLACEMENT, VOLTAGE).checked()
+    assert error.value.check == "swapped"
+    # a wrong unit of one column is a question, not a refusal
+    for input_, output in ((1e-4 * VOLTAGE, DISPLACEMENT), (VOLTAGE, 1e6 * DISPLACEMENT)):
+        assert IdentificationData(TIME, input_, output).checked()[1].errors == ()
+
+
 def test_missing_files_and_times_are_named(tmp_path):
     with pytest.raises(RecordingError, match="no such file"):
         load_data(tmp_path / "gone.csv")
