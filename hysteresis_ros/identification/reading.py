@@ -202,6 +202,11 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
                 "unit", f"{table.path}: column '{best}' seems to be the {role} but has no unit; give it as "
                 f"--{role} {best}:{'V' if unit == 'V' else 'um'} or with its unit"
             )  # fmt: skip
+        if role == "input" and free[best] == "m" and stated[role] is None:
+            raise DataError(
+                "columns", f"{table.path}: no column is known to be a voltage, and '{best}' is in m, a displacement; "
+                f"record the voltage too, or choose the input with --input (--input {best} for this column)"
+            )  # fmt: skip
         chosen[role] = _with_unit(best, stated[role]) or best
         del free[best]
         notes.append(f"assumed {role}: column '{best}'; choose another with --{role}")

@@ -27,6 +27,7 @@ from hysteresis_ros.identification.data import (
     load_data,
 )
 from hysteresis_ros.identification.preprocessing import resample
+from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import save_run
 
@@ -110,6 +111,13 @@ def test_swapped_columns_are_refused():
     # a wrong unit of one column is a question, not a refusal
     for input_, output in ((1e-4 * VOLTAGE, DISPLACEMENT), (VOLTAGE, 1e6 * DISPLACEMENT)):
         assert IdentificationData(TIME, input_, output).checked()[1].errors == ()
+
+
+def test_a_displacement_is_not_assumed_to_be_the_voltage(tmp_path):
+    path = write(tmp_path / "a.csv", "t,command_um,measured_um", TIME, 1e6 * DISPLACEMENT, 1e6 * DISPLACEMENT)
+    with pytest.raises(DataError, match=r"no column is known to be a voltage, and 'command_um' is in m.*--input"):
+        read_data(path)
+    assert read_data(path, Columns(input="command_um")).data.input_unit == "m"
 
 
 def test_missing_files_and_times_are_named(tmp_path):
