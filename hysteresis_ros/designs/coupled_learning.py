@@ -68,6 +68,8 @@ SIGNIFICANT = 4.0
 SMOOTHED = 15
 #: Smallest number of periods of a run: one for settling, and two whose difference shows the noise.
 FEWEST = 3
+#: Largest fraction of the samples of an axis that may have no measurement; the average over the periods omits them.
+MOST_MISSING = 0.01
 #: Highest frequency that is learned, as a fraction of the sample rate.
 HIGHEST = 0.45
 #: Magnitude below which a pole is a mere delay, and distance within which poles count as equal.
@@ -224,6 +226,7 @@ class Trial:
     correction: np.ndarray  #: shape (n, N) [m]
     error: np.ndarray  #: shape (n, N); Path minus measurement, averaged over the periods [m].
     variance: np.ndarray  #: shape (n, N // 2 + 1); Variance of ``numpy.fft.rfft`` of this error.
+    missing: np.ndarray  #: shape (n,); Samples without a measurement, which the average omits.
 
 
 def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
@@ -249,17 +252,41 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
         first = max(first, settled)
         errors.append(wanted - measured[: whole * period].reshape(whole, period))
     found = np.array(errors)[:, first:]
-    if not np.all(np.isfinite(found)):
-        raise RecordingError("a measurement is missing after the first period: record the run again")
-    mean = found.mean(axis=1)
-    apart = np.abs(np.fft.rfft(found - mean[:, np.newaxis], axis=2)) ** 2
+    known = np.isfinite(found)
+    _require_measured(parameters, known, first)
+    mean = np.mean(found, axis=1, where=known)
+    apart = np.where(known, found - mean[:, np.newaxis], 0.0)
     count = found.shape[1]
-    spread = apart.sum(axis=1) / (count * (count - 1))
+    spread = np.sum(np.abs(np.fft.rfft(apart, axis=2)) ** 2, axis=1) / (count * (count - 1))
     kernel = np.full(2 * SMOOTHED + 1, 1.0)
     weight = np.convolve(np.ones(spread.shape[1]), kernel, "same")
     smooth = np.array([np.convolve(row, kernel, "same") for row in spread]) / weight
     # the spread of a single line may be larger than that of its neighbours
-    return Trial(np.asarray(correction, dtype=float), mean, np.maximum(smooth, spread / count))
+    missing = np.count_nonzero(~known, axis=(1, 2))
+    return Trial(np.asarray(correction, dtype=float), mean, np.maximum(smooth, spread / count), missing)
+
+
+def _require_measured(parameters: StageParameters, known: np.ndarray, first: int) -> None:
+    """Refuse a run with too many samples without a measurement, or one that has none at a sample of the scan.
+
+    ``known`` has the shape (n, periods, N), and its first period is the period ``first`` of the run.
+    """
+    period, remedy = known.shape[2], "check the sensor and the machine (hysteresis doctor), and record the run again"
+    for name, own in zip(parameters.names, known, strict=True):
+        lost = np.flatnonzero(~own)
+        if lost.size > MOST_MISSING * own.size:
+            raise RecordingError(
+                f"{name}/measured: {lost.size} of {own.size} samples after the first {first * period} have no "
+                f"measurement, the first at {(first * period + lost[0]) / parameters.sample_rate:.6g} s: must be "
+                f"{100.0 * MOST_MISSING:g} % or less; {remedy}"
+            )
+        never = np.flatnonzero(~own.any(axis=0))
+        if never.size:
+            raise RecordingError(
+                f"{name}/measured: {never.size} samples of the scan have no measurement in any of {len(own)} periods, "
+                f"the first {never[0] / parameters.sample_rate:.6g} s after the beginning of a period: {remedy}, or "
+                "set scan.periods higher"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,11 +437,13 @@ def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[st
     rows = []
     for number, one in enumerate(trials, start=1):
         period = one.error.shape[1]
-        for name, error, variance in zip(parameters.names, one.error, one.variance, strict=True):
+        for name, error, variance, missing in zip(parameters.names, one.error, one.variance, one.missing, strict=True):
             rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
             # rfft returns only half of the spectrum, so all amplitudes except that of the mean count twice
             noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
+            omitted = f"; {missing} samples without a measurement are omitted" if missing else ""
             rows.append(
-                f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of which {1e9 * noise:.3g} nm is noise"
+                f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of which {1e9 * noise:.3g} nm is "
+                f"noise{omitted}"
             )
     return rows

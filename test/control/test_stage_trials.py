@@ -192,6 +192,42 @@ def test_periods_of_a_run_count_from_where_every_axis_follows_its_scan(late):
             trial(given, short, none)
 
 
+def test_samples_without_a_measurement_are_omitted_from_the_average_of_the_periods():
+    parameters = stage(*SPIRAL)
+    period = round(parameters.scan.period * parameters.sample_rate)
+    run, none = simulate_stage(parameters, duration=4.0 * parameters.scan.period), np.zeros((2, period))
+    noisy = run["y/measured"] + np.random.default_rng(5).normal(scale=1e-9, size=len(run))
+
+    def without(*lost):
+        """Return the result of the run without measurements of y at some samples."""
+        measured = noisy.copy()
+        measured[list(lost)] = np.nan
+        return trial(parameters, Recording(run.time, run.signals | {"y/measured": measured}, run.units), none)
+
+    # the same sample of two of the three periods after the first, and two neighbours
+    lost = (period + 70, 2 * period + 70, 3 * period + 200, 3 * period + 201)
+    found, whole = without(*lost), without()
+    np.testing.assert_array_equal(found.missing, [0, 4])
+    np.testing.assert_array_equal(whole.missing, 0)
+    errors_of_y = (run["y/reference"] - noisy).reshape(4, period)
+    assert found.error[1, 70] == pytest.approx(errors_of_y[3, 70], abs=1e-15)
+    assert found.error[1, 200] == pytest.approx(errors_of_y[1:3, 200].mean(), abs=1e-15)
+    kept = np.delete(np.arange(period), [70, 200, 201])
+    np.testing.assert_array_equal(found.error[1, kept], whole.error[1, kept])
+    np.testing.assert_array_equal(found.error[0], whole.error[0])
+    np.testing.assert_allclose(found.variance[1], whole.variance[1], rtol=0.1)
+    rows = learn.trial_lines(parameters, [found])
+    assert "omitted" not in rows[0] and rows[1].endswith("; 4 samples without a measurement are omitted")
+    count = int(0.03 * period) + 1
+    text = (
+        f"y/measured: {count} of {3 * period} samples after the first {period} .* first at 0.13 s: must be 1 % or less"
+    )
+    with pytest.raises(RecordingError, match=text):
+        without(*range(period + 50, period + 50 + count))
+    with pytest.raises(RecordingError, match=r"y/measured: 1 samples .* any of 3 periods, the first 0.007 s after"):
+        without(*(70 + place * period for place in (1, 2, 3)))
+
+
 def test_what_cannot_be_learned_together_is_said(tmp_path):
     parameters = stage(*SPIRAL)
     learning = CoupledLearning.of(parameters, LearningRequest("coupled", bandwidth=200.0))
