@@ -181,6 +181,26 @@ def test_the_damping_is_that_of_the_whole_peak_and_not_of_the_noise_at_its_top()
     assert found["damping"] == pytest.approx(damping, rel=0.1)
 
 
+@pytest.mark.parametrize("damping", [0.005, 0.015, 0.05])
+@pytest.mark.parametrize("scatter", [0.15, 0.3])
+def test_the_damping_is_not_that_of_a_line_that_hysteresis_raises_above_the_peak(damping, scatter):
+    """The deviations repeat in each period, so they are no noise; the half-power band of such a line ends beside it."""
+    frequency, period, rate = 700.0, 8000, 2000.0
+    draw = np.random.default_rng(7)
+    lines = int(volts.EXCITED * period)
+    one, deviation = np.zeros(period // 2 + 1, complex), np.zeros(period // 2 + 1, complex)
+    one[1:lines] = np.exp(2j * np.pi * draw.uniform(size=lines - 1))
+    deviation[1:lines] = draw.normal(0.0, scatter / np.sqrt(2.0), (lines - 1, 2)) @ [1.0, 1.0j]
+    f = np.fft.rfftfreq(period, 1.0 / rate)
+    mode = GAIN * (1.0 + deviation) / (1.0 - (f / frequency) ** 2 + 2j * damping * f / frequency)
+    mode[f < 10.0] *= 1.3  # creep
+    voltage, moved = np.fft.irfft(period * one), np.fft.irfft(period * one * mode)
+    found = volts.response_outcome(np.tile(voltage, 4), np.tile(moved, 4), rate, period).figures
+    assert found["resonance_hz"] == pytest.approx(frequency, rel=0.1 * damping)
+    assert found["damping"] == pytest.approx(damping, rel=0.15)
+    assert found["gain_m_per_v"] == pytest.approx(GAIN, rel=0.1)
+
+
 @pytest.mark.parametrize(("left", "expected", "settles"), [(5e-7, 1e-7, True), (7e-7, 1e-7, False), (4e-8, 1e-9, True)])
 @pytest.mark.parametrize("step", range(len(closed.STEPS)))
 def test_a_loop_settles_if_little_is_left_after_each_step(situation, monkeypatch, step, left, expected, settles):

@@ -14,8 +14,6 @@ Each voltage begins and ends at the safe voltage, with smooth ramps.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hysteresis_ros.analysis.commissioning_report import Picture, line
@@ -95,12 +93,13 @@ NOISY, FAR_AWAY = 0.02, 20.0
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
 #: Largest factor between measured and expected gain, and largest movement after a small step, as a fraction of it.
 EXPECTED, RINGING = 3.0, 0.25
-#: Part of the height of a peak within which its resonance is fitted: the half-power band.
-HALF_POWER = math.sqrt(0.5)
+#: Uncertainty of the fit of a resonance, as a fraction of the power of its lines, at which no more lines are averaged.
+CERTAIN = 0.02
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
-#: Number of the lowest frequencies of a response from which delay and gain are determined.
-LOW_LINES = 20
+#: Smallest number of the lowest frequencies of a response from which delay and gain are determined; the gain is that of
+#: the lines up to this fraction of the frequency of the resonance.
+LOW_LINES, FAR_BELOW = 20, 0.1
 #: Largest fraction of the samples within the noise around the extreme reading; with more, the sensor counts as clipped.
 CLIPPED = 0.03
 MICRO = 1e6
@@ -226,15 +225,16 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
             "the response to the small multisine is below the noise: raise `small` in /commissioning, or check "
             "the sensor"
         )
-    gain = float(np.median(size[:LOW_LINES]))
     peak = int(np.argmax(size))
+    # far below a resonance, but not of a few lowest lines only: drift and creep add to these
+    gain = float(np.median(size[: max(np.searchsorted(found.frequency, FAR_BELOW * found.frequency[peak]), LOW_LINES)]))
     figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
     lines = [
         f"gain of small movements {1e6 * gain:.4g} µm/V, delay {1e3 * figures['delay_s']:.3g} ms including "
         "the hold of a sample"
     ]
     if size[peak] > STANDS_OUT * gain:
-        frequency, damping = _resonance(found, peak)
+        frequency, damping = _resonance(found)
         figures |= {"resonance_hz": frequency, "damping": damping}
         lines.insert(0, f"resonance at {frequency:.4g} Hz, damping {100.0 * damping:.2g} %")
     else:
@@ -248,22 +248,34 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
     return Outcome(lines, figures, pictures)
 
 
-def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
-    """Return frequency [Hz] and damping ratio of the highest peak."""
-    size = np.abs(found.single)
-    # the half-power band of the peak: the curvature of a few lines at its flat top would be that of their noise
-    low = np.flatnonzero(size[:peak] < HALF_POWER * size[peak])
-    high = np.flatnonzero(size[peak:] < HALF_POWER * size[peak])
-    first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else size.size)
-    near = slice(max(min(first, peak - 3), 0), max(last + 1, peak + 4))
-    omega = 2.0 * np.pi * found.frequency[near]
-    # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²; its values are as uncertain as they are large
-    curve = np.polyfit(omega**2, 1.0 / size[near] ** 2, 2, w=size[near] ** 2)
-    square = -0.5 * curve[1] / curve[0]
-    least = np.polyval(curve, square) / curve[0]
-    if not (square > 0.0 and least > 0.0):
-        return float(found.frequency[peak]), 0.0
-    return float(np.sqrt(square) / (2.0 * np.pi)), float(0.5 * np.sqrt(least) / square)
+def _resonance(found: FrequencyResponse) -> tuple[float, float]:
+    """Return frequency [Hz] and damping ratio of the highest peak.
+
+    The lines of a stage with hysteresis scatter by far more than its noise, and a single line may be higher than the
+    peak. As many neighbouring lines are averaged to find the half-power band as the fit in it needs to be certain.
+    """
+    power, square, width = np.abs(found.single) ** 2, (2.0 * np.pi * found.frequency) ** 2, 1
+    frequency, damping, uncertainty = float(found.frequency[np.argmax(power)]), 0.0, np.inf
+    while uncertainty > CERTAIN and width < power.size // 4:
+        kernel = np.ones(width)
+        mean = np.convolve(power, kernel, "same") / np.convolve(np.ones(power.size), kernel, "same")
+        peak = int(np.argmax(mean))
+        # the half-power band of the peak: the curvature of a few lines at its flat top would be that of their noise
+        low, high = np.flatnonzero(mean[:peak] < 0.5 * mean[peak]), np.flatnonzero(mean[peak:] < 0.5 * mean[peak])
+        first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else power.size)
+        near = slice(max(min(first, peak - 3), 0), max(last + 1, peak + 4))
+        # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²; its values are as uncertain as they are large
+        curve = np.polyfit(square[near], 1.0 / power[near], 2, w=power[near])
+        centre = -0.5 * curve[1] / curve[0]
+        least = np.polyval(curve, centre) / curve[0]
+        if centre > 0.0 and least > 0.0:
+            scatter = 1.0 - np.polyval(curve, square[near]) * power[near]
+            # the RMS of the lines over the root of their number
+            if np.linalg.norm(scatter) / scatter.size < uncertainty:
+                uncertainty = np.linalg.norm(scatter) / scatter.size
+                frequency, damping = float(np.sqrt(centre) / (2.0 * np.pi)), float(0.5 * np.sqrt(least) / centre)
+        width *= 2
+    return frequency, damping
 
 
 def _delay(found: FrequencyResponse, peak: int) -> float:
