@@ -618,6 +618,24 @@ def test_a_loop_of_a_stage_may_leave_six_times_its_prediction_or_a_twentieth_of_
         judged_loop(monkeypatch, 0.0, 0.0, 0.26e-6)
 
 
+@pytest.mark.parametrize(
+    ("moved", "model", "noise", "more"),
+    [(14e-9, 1e-8, 0.0, False), (16e-9, 1e-8, 0.0, True), (16e-9, 1e-8, 17e-9, False), (1e-9, 0.0, 0.5e-9, True)],
+)
+def test_the_motion_of_another_axis_is_compared_with_its_prediction_and_the_noise(moved, model, noise, more):
+    found = loops.coupling_verdict(moved, model, noise)
+    assert found.startswith("MORE than 1.5 x the prediction, the coupling differs") if more else found == "as predicted"
+
+
+def test_an_axis_that_moves_with_another_more_than_predicted_is_told(monkeypatch):
+    (own, crossed) = judged_loop(monkeypatch, 0.0, 0.0, 0.24e-6).lines[:2]
+    assert own.startswith("x: settles") and crossed.startswith(
+        "x: y moves by at most 240 nm meanwhile, predicted 0 nm: MORE"
+    )
+    quiet = judged_loop(monkeypatch, 0.0, 0.0).lines[1]
+    assert quiet.endswith("predicted 0 nm: as predicted")
+
+
 def test_the_scan_of_an_axis_is_judged_in_its_last_ten_periods(monkeypatch):
     """Before and after them the error is ten times larger; the other axis moves by 1.4 nm RMS."""
     situation = closed_loops(monkeypatch, x=Range(2e-6, 12e-6, 1e-6), y=Range(2e-6, 12e-6, 1e-6))
@@ -632,7 +650,11 @@ def test_the_scan_of_an_axis_is_judged_in_its_last_ten_periods(monkeypatch):
     run = metres(np.arange(len(excursion.references)) / 1000.0, x_reference=excursion.references[:, 0])
     monkeypatch.setattr(loops, "predicted", lambda *_: "predicted")
     monkeypatch.setattr(loops, "errors_of", lambda _, run: errors["predicted" if run == "predicted" else "measured"])
-    found = loops.judge_scan(situation, run).figures
+    outcome = loops.judge_scan(situation, run)
+    found = outcome.figures
+    assert outcome.lines[1].endswith("of it, predicted 1 nm: as predicted")
+    errors["predicted"]["y"] *= 0.9
+    assert ": MORE than 1.5 x the prediction" in loops.judge_scan(situation, run).lines[1]
     for place, (name, other) in enumerate(("xy", "yx")):
         assert found[name]["rms_error_m"] == pytest.approx(1.4e-8 * (1 + place))
         assert found[name]["predicted_rms_m"] == pytest.approx(1e-8 * (1 + place))

@@ -52,6 +52,8 @@ from hysteresis_ros.units import readable
 
 #: Largest motion of an axis that should hold its position, as a fraction of the step of the moving axis.
 DISTURBED = 0.25
+#: Peak of the noise of an axis that holds its position, relative to its RMS.
+NOISE_PEAK = 5.0
 #: A motion below this fraction of the noise cannot be distinguished from the noise.
 BURIED = 0.2
 #: Evaluated periods of the path of all axes together; the amplitude rises in one period before these periods, and falls
@@ -170,6 +172,19 @@ def loop_stage(situation: StageSituation) -> StageParameters:
     return run_of(situation, "loop", steps(situation).references)
 
 
+def coupling_verdict(moved: float, model: float, noise: float) -> str:
+    """Return a text that compares the motion of an axis that should hold its position with its prediction [m].
+
+    A motion below the noise of this axis is as predicted.
+    """
+    if moved <= max(ERROR_AS_PREDICTED * model, noise):
+        return "as predicted"
+    return (
+        f"{verdict(np.inf, ERROR_AS_PREDICTED)}, the coupling differs from the identified one; to identify it again: "
+        "--stage multisine"
+    )
+
+
 def judge_loop(situation: StageSituation, recording: Recording) -> Outcome:
     """Check that each loop settles after small steps, and that the other axes hold their position."""
     excursion, rate = steps(situation), situation.rate
@@ -203,7 +218,7 @@ def judge_loop(situation: StageSituation, recording: Recording) -> Outcome:
                     "again (--stage multisine)"
                 )
             text = f"{other} moves by at most {1e9 * moved:.3g} nm meanwhile, predicted {1e9 * model:.3g} nm"
-            lines.append(f"{name}: {text}")
+            lines.append(f"{name}: {text}: {coupling_verdict(moved, model, NOISE_PEAK * left)}")
             figures[name] |= {f"moves_{other}_m": moved, f"predicted_moves_{other}_m": model}
         pictures.append(_tracking(situation, f"Steps of {name}", recording, errors, span))
     return Outcome(lines, figures, pictures)
@@ -289,9 +304,10 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
                 least = BURIED * noise
                 shown = f"{1e9 * moved:.2g} nm" if moved > least else f"less than {1e9 * least:.2g} nm"
                 percent = 100.0 * max(moved, least) / size
+                judgement = coupling_verdict(moved, modelled, np.sqrt(JUDGED_PERIODS) * noise)
                 lines.append(
                     f"{name}: its scan moves {other} by {shown} RMS, {percent:.2g} % of it, predicted "
-                    f"{1e9 * modelled:.2g} nm"
+                    f"{1e9 * modelled:.2g} nm: {judgement}"
                 )
                 figures[name] |= {f"coupling_{other}_rms_m": moved, f"predicted_coupling_{other}_rms_m": modelled}
         time = recording.time[judged]
