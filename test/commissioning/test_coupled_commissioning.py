@@ -347,6 +347,20 @@ def test_the_error_of_each_scan_is_its_own_and_is_compared_with_its_prediction(d
     assert found["y"]["ratio"] == before["y"]["ratio"] < 1.5
 
 
+def test_a_motion_beyond_the_announced_one_is_a_warning(done, tmp_path):
+    def stronger(signals):
+        signals["y/measured"] *= 3.0
+
+    quiet, loud = (done[0].found["multisine"], repeated_stage(done, tmp_path, "multisine", stronger))
+    assert not any("warning" in text for text in quiet.lines)
+    (text,) = (text for text in loud.lines if "warning" in text)
+    figures = loud.figures["y"]
+    assert f"y: moved {figures['swing_m'] / figures['predicted_swing_m']:.3g} times as far as announced" in text
+    assert "more than 28.47 µm beyond the range" in text and "raise `small`" in text
+    said = COUPLED_STAGES["multisine"].words(done[0])
+    assert f"y ±{1e6 * figures['predicted_swing_m']:.4g} µm as the small multisines predict" in said
+
+
 def test_a_loop_that_disturbs_another_is_named(done, tmp_path):
     begin = steps(done[0]).spans["x"].start
 

@@ -23,7 +23,7 @@ from hysteresis_ros.analysis.commissioning_report import Picture, line
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.coupled import StageSituation, columns_of, each_axis, part_of
 from hysteresis_ros.cli.commissioning.measuring import EXPECTED, MICRO
-from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome, Plan, Situation
+from hysteresis_ros.cli.commissioning.situation import OVERTRAVEL, CommissioningError, Outcome, Plan, Situation
 from hysteresis_ros.control.coupling import lost_direction, relative_gain_array
 from hysteresis_ros.designs.stage_excitation import PERIOD, StageExcitation, multisines
 from hysteresis_ros.identification.coupled import StructureData
@@ -206,6 +206,13 @@ def judge_multisine(situation: StageSituation, recording: Recording) -> Outcome:
             f"{name}: moved by ±{readable(swing, 'm')} (at most ±{readable(predicted[name], 'm')} was expected), noise "
             f"{100.0 * ratio:.2g} % of the response"
         )
+        if swing > predicted[name]:
+            lines.append(
+                f"warning: {name}: moved {swing / predicted[name]:.3g} times as far as announced: its gain grows with "
+                "the size of the motion, or something else moved it. Stages stop only if a sensor reads more than "
+                f"{readable(OVERTRAVEL * situation.plans[name].stroke, 'm')} beyond the range of their voltages. For a "
+                "better prediction raise `small` in /commissioning"
+            )
         for j, other in enumerate(names):
             label = f"{name} from {other}"
             traces.append(line(label, response.frequency, MICRO * np.abs(response.response[:, i, j])))

@@ -51,7 +51,10 @@ def _resonance_words(situation: StageSituation) -> str:
 def _multisine_words(situation: StageSituation) -> str:
     swings = measured.predicted_swings(situation, measured.identification_excitation(situation).amplitude)
     most = ", ".join(f"{name} ±{readable(swing, 'm')}" for name, swing in swings.items())
-    return f"all axes together: slowly to the middle of their ranges, multisines there, at most {most}, and back"
+    return (
+        "all axes together: slowly to the middle of their ranges, multisines there, at most "
+        f"{most} as the small multisines predict, and back"
+    )
 
 
 def _hysteresis_words(situation: StageSituation) -> str:
