@@ -178,7 +178,9 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
     columns = [np.interp(grid, time, values[finite]) for values in (data.input, data.output)]
     if factor > 1:
         columns = [_decimated(values, factor) for values in columns]
-    note = f"resampled from {readable(median, 's')} to {readable(target, 's')}"
+    before, after = readable(median, "s"), readable(target, "s")
+    same = f"resampled at equal intervals of {after}"
+    note = same if before == after else f"resampled from {before} to {after}"
     grid = grid[::factor]
     rows = data.first + np.flatnonzero(finite)
     warnings = (*data.warnings, *_bridged(time, median, rows), *_jittering(time, median))

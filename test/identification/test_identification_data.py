@@ -212,9 +212,10 @@ def test_resampling_bridges_gaps_and_keeps_slow_signals():
     keep[[0, -1]] = True
     ragged = IdentificationData(TIME[keep], VOLTAGE[keep], DISPLACEMENT[keep])
     data, report = resample(ragged).checked()
-    assert report.jitter < 1e-9 and "resampled" in data.notes[-1]
+    assert report.jitter < 1e-9 and data.notes[-1] == "resampled at equal intervals of 5 ms"
     np.testing.assert_allclose(data.input, VOLTAGE, atol=1e-2)
     coarse = resample(sine(), 0.02)
+    assert coarse.notes[-1] == "resampled from 5 ms to 20 ms"
     np.testing.assert_allclose(coarse.input[5:-5], VOLTAGE[::4][5:-5], atol=1e-3)
     with pytest.raises(DataError, match="sample time"):
         resample(sine(), 1e3)
