@@ -355,6 +355,8 @@ NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hy
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 #: Section of a stage of coupled axes.
 STAGE = "stage"
+#: Suffixes of recordings, which are no texts.
+RECORDED = (".npz", ".mcap", ".db3")
 
 
 class _Loader(FAST_LOADER):
@@ -597,7 +599,12 @@ def load_configuration(path) -> Configuration:
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; give the path of a ROS 2 parameter file") from None
     except (OSError, UnicodeDecodeError, BoundsError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+        reason = f"cannot be read: {error}"
+        if path.suffix.lower() in RECORDED or (path / "metadata.yaml").is_file():
+            reason = "is a recording, not a parameter file; give the parameter file of its axis (.yaml)"
+        elif isinstance(error, UnicodeDecodeError):
+            reason = "is not a text in UTF-8; give the path of a ROS 2 parameter file (.yaml)"
+        raise ConfigurationError(f"{path}: {reason}") from None
     configuration = parse_configuration(text, str(path))
     return replace(configuration, entries=tuple(_with_driver_beside(path, *entry) for entry in configuration.entries))
 

@@ -84,8 +84,15 @@ def test_missing_and_unreadable_files_are_named(tmp_path):
         load_configuration(tmp_path / "none.yaml")
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigurationError, match="binary.yaml: cannot be read"):
+    with pytest.raises(ConfigurationError, match="binary.yaml: is not a text in UTF-8"):
         load_configuration(binary)
+    run, bag = tmp_path / "run.npz", tmp_path / "bag"
+    run.write_bytes(b"\xff\xfe\x00")
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    for recording in (run, bag):
+        with pytest.raises(ConfigurationError, match=f"{recording.name}: is a recording, not a parameter file; give"):
+            load_configuration(recording)
     with pytest.raises(ConfigurationError, match="no configuration 'nothing'.*kim2009"):
         config_path("nothing")
 
