@@ -79,6 +79,8 @@ WRONG = {
     "no such stage": (("--yes", "--stage", "nois"), "no stage nois; there are noise, gain"),
     "before its time": (("--yes", "--stage", "creep"), "creep needs the results of noise, gain"),
     "nothing to resume": (("--resume",), "no commissioning to resume"),
+    "file": (("--yes", "--directory", __file__), "is a file; --directory is the folder to write: choose another"),
+    "file alone": (("--stage", "noise", "--directory", __file__), "is a file; --directory is the folder to write"),
     "unit": (("--yes", "--scan-stroke", "70V"), "--scan-stroke '70V': is in V"),
     "no unit": (("--scan-stroke", "60"), "--scan-stroke '60': of which unit? Write 60um or 60nm"),
     "no frequency": (("--yes", "--scan-frequency", "0Hz"), "/commissioning: scan_frequency"),

@@ -175,12 +175,17 @@ class Folder:
         self.path = pathlib.Path(path)
         self._own = {"file": hashlib.sha256(text.encode()).hexdigest(), "bench": bench}
         state = self.path / STATE
+        if self.path.exists() and not self.path.is_dir():
+            raise ConfigurationError(f"{self.path}: is a file; --directory is the folder to write: choose another")
         if self.path.exists() and not resumed:
             raise ConfigurationError(
                 f"{self.path}: exists already; continue with --resume, choose another --directory or remove it"
             )
         if resumed and not state.is_file():
-            raise ConfigurationError(f"{self.path}: contains no commissioning to resume; begin without --resume")
+            raise ConfigurationError(
+                f"{self.path}: contains no commissioning to resume; give the folder of one, or a new --directory "
+                "without --resume"
+            )
         if not resumed:
             try:
                 self.path.mkdir(parents=True)
