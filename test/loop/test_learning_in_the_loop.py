@@ -73,8 +73,10 @@ def test_stopped_it_repeats_itself_in_phase_and_goes_on_without_a_jump():
 
 
 def test_nothing_is_learned_while_the_command_is_not_carried_out():
-    slow = {"limits__slew_rate": 10.0}
-    made = axis(reference_generator=TRIANGLE, motion_controller=LEARNS, hysteresis_compensator=slow)
+    given = parameters(reference_generator=TRIANGLE, motion_controller=LEARNS)
+    own = given.hysteresis_compensator  # a configuration with this slew rate is refused
+    slow = replace(own, limits=replace(own.limits, slew_rate=10.0))
+    made = Axis(replace(given, hysteresis_compensator=slow))
     # the first samples, of a triangle that begins at zero, are still achieved
     assert not np.any(corrections(made, 6 * N).reshape(6, N)[1:, 10:-10])
     assert np.any(corrections(learning_axis(), 6 * N).reshape(6, N)[1:, 10:-10])
