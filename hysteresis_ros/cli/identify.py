@@ -306,9 +306,11 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
 
     Prints the errors of the model (m, % of stroke, fit %), of its inverse (V, m), and whether the residual is white.
     """
+    from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.identification import workflow
     from hysteresis_ros.identification.stage_data import is_stage
 
+    load_configuration(params).require_independent()
     namespace = columns["namespace"] or ""
     if not namespace and is_stage(data):
         raise ConfigurationError(

@@ -26,7 +26,9 @@ from hysteresis_ros.identification.data import (
 )
 from hysteresis_ros.identification.preprocessing import prepared
 from hysteresis_ros.identification.recording_summary import RecordingSummary, summarise
+from hysteresis_ros.identification.stage_data import is_stage
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
 from hysteresis_ros.recordings.foreign_tables import (
     TABLE_SUFFIXES,
     Selection,
@@ -164,6 +166,9 @@ def _load(path: pathlib.Path, columns: Columns, progress):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
     if path.suffix.lower() not in TABLE_SUFFIXES:
         return load_data(path, columns.input, columns.output, namespace=columns.namespace), (), ranged
+    if columns.namespace and is_stage(path):
+        axis = load_run(path, columns.namespace)
+        return from_recording(axis, columns.input, columns.output, path.name), (), ranged
     table = open_table(path)
     selection = Selection((), columns.time, sample_time, ranged)
     try:

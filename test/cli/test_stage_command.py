@@ -26,6 +26,7 @@ from hysteresis_ros.analysis.scan_report import scan_figures
 from hysteresis_ros.cli.options import triggering
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError, RecordingError
+from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import with_scan
 from hysteresis_ros.recordings.dataset import Recording
@@ -105,6 +106,16 @@ def test_validate_refuses_the_plant_of_a_stage(tmp_path):
     for namespace in ("", "/x"):
         said = hysteresis("validate", "xy_scanner", path, *(("--namespace", namespace) if namespace else ()), code=2)
         assert "stage of coupled axes" in said
+
+
+def test_validate_takes_the_axis_of_a_namespace_from_the_recording_of_a_stage(tmp_path, run):
+    path = tmp_path / "run.npz"
+    run.save(path)
+    assert "describes a stage of coupled axes" in hysteresis("validate", "xy_scanner", path, code=2)
+    assert "give --namespace AXIS" in hysteresis("validate", "kim2009", path, code=2)
+    assert "it has x, y" in hysteresis("validate", "kim2009", path, "--namespace", "z", code=2)
+    data = read_data(path, Columns(namespace="x", all_samples=True)).data
+    assert np.array_equal(data.input, run["x/voltage"]) and np.array_equal(data.output, run["x/measured"])
 
 
 def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
