@@ -436,6 +436,7 @@ def test_recordings_that_give_no_stage_are_refused(make, words):
 def test_a_multisine_that_a_slew_rate_has_made_too_small_is_named(tmp_path):
     """The way to the middle of the ranges is 50 V, the multisine a few mV: it is not found beside it."""
     slow = load_configuration("xy_scanner").override("plant_simulator", limits__slew_rate=300.0)
+    slow = slow.override("reference_generator", waveform__type="hold")  # its triangle needs a larger slew rate
     found = excited_stage(slow, StageExcitation(realisations=3), tmp_path / "weak")
     assert "raise limits.slew_rate of plant_simulator and hysteresis_compensator" in found.words
     assert (

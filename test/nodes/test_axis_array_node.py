@@ -328,7 +328,12 @@ def test_late_samples_are_counted_and_a_schedule_far_behind_is_shifted(monkeypat
 @pytest.mark.parametrize("module", [axis_array, stage])
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(None, "no such file"), (b"\xff", "cannot be read"), (b"a: [", "not readable as YAML"), ("", "has no parameters")],
+    [
+        (None, "no such file"),
+        (b"\xff", "is not a text in UTF-8"),
+        (b"a: [", "not readable as YAML"),
+        ("", "has no parameters"),
+    ],
 )
 def test_a_file_of_parameters_that_cannot_be_read_is_one_line(module, content, said, tmp_path, capsys):
     path = tmp_path / "given.yaml"

@@ -141,7 +141,10 @@ def test_a_run_that_nobody_recorded_says_at_its_end_that_it_was_cut(processes, t
     path = write_axis(tmp_path / "axis.yaml", axis)
     slew = 100.0 if cut else 1e6  # a triangle of 10 Hz over about 60 V requires 1200 V/s
     overlay = tmp_path / "slew.yaml"
-    overlay.write_text(f"/**/hysteresis_compensator:\n  ros__parameters: {{limits: {{slew_rate: {slew}}}}}\n")
+    overlay.write_text(  # in closed loop a triangle that needs a larger slew rate is refused
+        f"/**/hysteresis_compensator:\n  ros__parameters: {{limits: {{slew_rate: {slew}}}}}\n"
+        "/**/motion_controller:\n  ros__parameters: {type: open_loop}\n"
+    )
     words = ["--reference", "triangle", "--frequency", "10", "--amplitude", "3e-6m", "--duration", "3"]
     up = processes.command("up", path, "--params-file", str(overlay), how, *words)
     assert up.wait(300.0) == 0, up.output  # with a fused axis kernels may be compiled first
