@@ -40,6 +40,9 @@ INTERPRETED = 2.4
 
 #: Folders of the recordings.
 WITHOUT, WITH, STEPS, PROCESSES = "without_inverse", "with_inverse", "bag", "lockstep"
+#: Colours of the runs without and with the inverse, and of skipped samples, in the figure.
+COLOURS, MISSED = ("#d1495b", "#1f3b73"), "#e08e0b"
+MICRO = 1e6
 
 
 @click.command(short_help="Run Kim's axis in real time and as four processes, and report it.")
@@ -235,7 +238,6 @@ def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], prog
     """Write picture, report and figures, if their libraries are installed, and print the results."""
     import numpy as np
 
-    from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke
     from hysteresis_ros.analysis.metrics import compute_metrics
     from hysteresis_ros.analysis.plots import data_uri, png
     from hysteresis_ros.analysis.report import write_report
@@ -276,3 +278,63 @@ def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], prog
     click.echo("\n".join(filter(None, lines)))
     files = ", ".join(sorted(path.name for path in folder.iterdir() if path.is_file()))
     click.echo(f"bags, {files}: in {folder}")
+
+
+def opening_of_stroke(run) -> float:
+    """Return the width of the loop of displacement over reference, as a fraction of the stroke of the reference."""
+    from hysteresis_ros.recordings.loops import loop_opening
+
+    opening = loop_opening(run["reference"], run["displacement"]) or 0.0
+    return opening / float(run["reference"].max() - run["reference"].min())
+
+
+def message(here, alone, skipped, live: bool) -> list[str]:
+    """Return the results as sentences: first those of the method (offline), then those of the runs on this machine."""
+    without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
+    said = [
+        f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, {inverse} with it "
+        f"(offline, where no deadline is missed)."
+    ]
+    if not live:
+        return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
+    if not any(skipped):
+        return [*said, "This machine skipped no sample of either run: the results in real time, at 3 kHz, are equal."]
+    return [
+        *said,
+        f"This machine skipped {skipped[0]:.2g} % and {skipped[1]:.2g} % of the samples of the two runs: "
+        f"{100.0 * here[0]:.2g} % without the inverse, {100.0 * here[1]:.2g} % with it.",
+    ]
+
+
+def inverse_figure(without, with_inverse, *here):
+    """Return the figures of displacement over reference and of error over reference, for all runs [µm].
+
+    The first branch is omitted, because it starts at rest and belongs to no loop.
+    """
+    import numpy as np
+
+    from hysteresis_ros.analysis.plots import new_figure
+    from hysteresis_ros.recordings.loops import turning_points
+
+    figure, (loop, error) = new_figure(4.4, 2)
+    marked = False
+    runs = zip((without, with_inverse), here or (None, None), COLOURS, ("without", "with"), strict=True)
+    for run, made, colour, words in runs:
+        first = int(turning_points(run["reference"])[1])
+        reference, displacement = run["reference"][first:] * MICRO, run["displacement"][first:] * MICRO
+        label = f"{words} inverse: loop width {100.0 * opening_of_stroke(run):.2g} % of the stroke"
+        loop.plot(reference, displacement, color=colour, linewidth=1.3, label=label)
+        error.plot(reference, displacement - reference, color=colour, linewidth=1.3)
+        missed = np.flatnonzero(made["skipped"][first:]) + first if made is not None else np.zeros(0, dtype=int)
+        if made is not None and missed.size:
+            x, y = made["reference"][missed] * MICRO, made["displacement"][missed] * MICRO
+            style = dict(color=MISSED, marker="x", markersize=5, linewidth=0.0, zorder=4)
+            loop.plot(x, y, label=None if marked else "samples skipped by this machine", **style)
+            error.plot(x, y - x, **style)
+            marked = True
+    loop.plot(loop.get_xlim(), loop.get_xlim(), color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
+    error.axhline(0.0, color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
+    loop.set(xlabel="reference [µm]", ylabel="displacement [µm]")
+    error.set(xlabel="reference [µm]", ylabel="displacement − reference [µm]")
+    loop.legend(loc="upper left", frameon=False, fontsize=9)
+    return figure

@@ -21,8 +21,17 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
-from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke  # noqa: E402
-from hysteresis_ros.cli.demo import PROCESSES, SETPOINTS, STEPS, TRIANGLES, WITH, WITHOUT  # noqa: E402
+from hysteresis_ros.cli.demo import (  # noqa: E402
+    PROCESSES,
+    SETPOINTS,
+    STEPS,
+    TRIANGLES,
+    WITH,
+    WITHOUT,
+    inverse_figure,
+    message,
+    opening_of_stroke,
+)
 from hysteresis_ros.recordings import Recording, load_run  # noqa: E402
 
 

@@ -196,7 +196,7 @@ function control({ mine, holder, since }, pages) {
   box.hidden = mine;
   box.replaceChildren();
   if (mine) return;
-  const text = holder ? `This page is read-only: another page controls the axis (${holder}, since ${new Date(since * 1000).toLocaleTimeString()}).` : "No page has the control.";
+  const text = holder ? `This page is read-only: another page controls the axis (${holder}, since ${new Date(since * 1000).toLocaleTimeString()}).` : "No page controls the axis.";
   const take = Object.assign(document.createElement("button"), { id: "take", type: "button", textContent: holder ? "take over" : "take control" });
   take.addEventListener("click", () => ask({ do: "control", by_force: true }));
   box.append(text, take);
