@@ -188,6 +188,17 @@ def corrected(p, x, own, value, followed, skipped):
     return own[REFERENCE] + learned_correction(p.learning, x.learning, own[REFERENCE], error)
 
 
+@kernel
+def follow(p, x, own, wanted):
+    """Pass the reference ``wanted`` [m] to the feedforward and return the delayed reference [m]."""
+    reference = wanted
+    if own[ON_PATH] != 0.0:
+        reference = handover(p.return_path, x.return_path, wanted)
+        if reference == wanted:
+            own[ON_PATH] = 0.0
+    return feedforward(p.feedforward, x.feedforward, reference)
+
+
 @nested
 def answer(laws, arrays, value, wanted, force):
     """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a ``value`` of NaN.
@@ -197,12 +208,7 @@ def answer(laws, arrays, value, wanted, force):
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
         resume(x, own, value)
-    reference = wanted
-    if own[ON_PATH] != 0.0:
-        reference = handover(p.return_path, x.return_path, wanted)
-        if reference == wanted:
-            own[ON_PATH] = 0.0
-    delayed = feedforward(p.feedforward, x.feedforward, reference)
+    delayed = follow(p, x, own, wanted)
     fed = x.feedforward[feeding.COMMAND]
     known = value if value == value else x.controller[header.ESTIMATED]
     note(x.history, x.controller[header.APPLIED], delayed, fed, known)
@@ -274,6 +280,9 @@ def control(laws, arrays, row):
     elif mode != HOLDING:
         command = towards(command, resting_place(own_p, own, mode, value), own_p[SAFE_STEP])
         own[RETURNING] = 1.0
+    elif own[RETURNING] == 0.0 and arrays.x.feedforward[feeding.STARTED] != 0.0:
+        # the reference moves on while a measurement is missing; otherwise it would be late for the whole preview
+        follow(arrays.p, arrays.x, own, wanted)
     own[UNANSWERED] += 1.0
     # the law's own command is kept, because its difference to the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)

@@ -51,6 +51,24 @@ def test_every_skipped_sample_is_a_late_voltage_that_the_plant_holds():
     np.testing.assert_array_equal(table["plant_voltage"][held], table["plant_voltage"][held - 1])
 
 
+@pytest.mark.parametrize(("kind", "preview"), [("inverse_dynamics", 6), ("velocity", 0)])
+def test_a_feedforward_follows_the_reference_while_samples_are_skipped(kind, preview):
+    """Otherwise the path would be late by these samples until the whole preview has passed."""
+    sine = {"waveform__type": "sine", "waveform__frequency": 20.0, "waveform__amplitude": 3e-6}
+    feedforward = {"feedforward__type": kind, "feedforward__preview": preview}
+    skipped, commands = np.zeros(400), []
+    skipped[[200, 300, 301, 302]] = 1.0
+    for missing in (np.zeros(400), skipped):
+        made = axis(
+            reference_generator={**sine, "waveform__offset": 4e-6},
+            motion_controller={"type": "open_loop", **feedforward},
+            plant_simulator={"late_limit": -1},
+        )
+        table = made.run(np.zeros(400), skipped=missing)
+        commands.append(np.where(skipped == 1.0, 0.0, table["command"]))
+    np.testing.assert_array_equal(*commands)
+
+
 def test_before_the_first_voltage_nothing_is_late_and_afterwards_every_one_that_is_missing():
     made = axis(**HOLD, plant_simulator={"late_limit": -1})
     table = made.run(np.zeros(20), skipped=np.concatenate([np.ones(10), np.zeros(5), np.ones(5)]))
