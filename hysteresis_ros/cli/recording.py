@@ -160,7 +160,7 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     from hysteresis_ros.recordings.files import load_run
 
     with shown(f"reading {recording.name}"):
-        run = load_run(recording, namespace)
+        run = load_run(recording, namespace, further=True)
     repeated: Any = recorded_stage if run.axes else recorded_axis
     compared: Any = stage_differences if run.axes else differences
     with repeated(run, str(recording)) as (found, notes):

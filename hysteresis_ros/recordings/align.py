@@ -258,7 +258,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
     if log.lacking:
         notes.append(f"{log.lacking} entries of the change log are missing: the run cannot be repeated")
     return {
-        "source": str(bag.path.name),
+        "source": str(bag.words.get(RECORD, {}).get("source", bag.path.name)),
         "late_commands": late,
         "namespace": prefix,
         "complete": bag.complete,
@@ -278,9 +278,10 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
-    skipped = np.nan_to_num(_of_plant(states[PLANT], stamps, "skipped"))
-    if np.any(skipped):
-        more["skipped"] = skipped
+    for name in ("skipped", "tripped"):  # without them the run of a device cannot be repeated
+        values = np.nan_to_num(_of_plant(states[PLANT], stamps, name))
+        if np.any(values):
+            more[name] = values
     force = _of_plant(states[PLANT], stamps, "force")
     if np.any(np.isfinite(force)):
         more["force"] = force

@@ -168,6 +168,10 @@ def test_a_driver_in_python_is_fused_above_300_hz_and_made_safe_before_a_start(p
     until(lambda: joints[-1].header.frame_id == "" and joints[-1].position[0] > 4.0e-6, what="the axis to return")
     code, _ = up.leave(signal.SIGINT)
     assert code == 0 and "equal" in up.output, up.output
+    table = tmp_path / "table.npz"
+    for command in (("verify", bag), ("export", bag, "-o", table), ("verify", table)):
+        again = processes.command(*map(str, command))
+        assert again.wait() == 0, again.output
     log = (folder / "log").read_text().split()
     voltages = [0.0 if word == "safe" else float(word) for word in log]
     steps = [after - before for before, after in zip(voltages, voltages[1:], strict=False)]
