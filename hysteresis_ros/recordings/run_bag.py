@@ -29,7 +29,7 @@ from hysteresis_ros.configuration import normalised_namespace
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_writer import BagWriter, Frames
-from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.dataset import SIMULATED, Recording
 from hysteresis_ros.recordings.provenance import RECORD, configured, provenance
 from hysteresis_ros.signals import ASKED_VOLTAGE, float_topics, state_signals
 
@@ -258,7 +258,8 @@ def write_recording(
         axes = {str(one.metadata["namespace"]): one for one in each}
 
     def write(bag: BagWriter) -> None:
-        bag.describe(RECORD, provenance())
+        simulated = {"source": SIMULATED} if recording.is_simulated else {}
+        bag.describe(RECORD, provenance() | simulated)
         for space, one in axes.items():
             own = joint or str(configured(text, "plant_simulator", space).get("joint", "piezo"))
             _write_topics(bag, one, text, normalised_namespace(space), own, start_time_ns)
