@@ -31,7 +31,7 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop, boost, require_speed
-from hysteresis_ros.loop.pacing import Reader
+from hysteresis_ros.loop.pacing import Lateness, Reader
 from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters, RecorderNodeParameters
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -39,6 +39,10 @@ from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.samples import SampleStream
 from hysteresis_ros.nodes.timing import CountedRate
 from hysteresis_ros.references import inchworm_layout as gait
+from hysteresis_ros.units import readable
+
+#: Duration of a sample, in periods, from which its time counts as spent in the driver.
+IN_DRIVER = 10.0
 
 
 class LoopPace:
@@ -459,6 +463,25 @@ class FusedAxis:
                 )
 
 
+def skipped_text(rate: float, limit: int, found: Lateness, driver: str) -> str:
+    """Return why the loop at ``rate`` [Hz] has stopped after more than ``limit`` skipped samples, and a remedy.
+
+    A sample that took several periods waited in the ``driver``, if there is one, and not for the processor.
+    """
+    remedy = "give the loop a core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate"
+    taken = f"99 % of all samples began within {1e6 * found.p99:.3g} µs"
+    if driver and found.highest_cost * rate >= IN_DRIVER:
+        taken = f"the longest sample took {readable(found.highest_cost, 's')}"
+        remedy = (
+            f"the calls of the driver {driver} in a sample must return within its period, "
+            f"{readable(1.0 / rate, 's')}; if they do, {remedy}"
+        )
+    return (
+        f"more than {limit} samples within a second were skipped at {rate:g} Hz ({found.missed} so far; {taken}): "
+        f"{remedy}; then call ~/start"
+    )
+
+
 def _hold_the_lock_briefly(realtime: RealtimeParameters) -> None:
     """Shorten the times for which this process holds Python's lock, because the loop waits for the lock in each sample.
 
@@ -579,11 +602,5 @@ class Fused(RealTime):
         loop = self.fused.loop
         if loop is None:
             return "stopped; call ~/start to resume"
-        rate, limit = self.node.parameters.sample_rate, self.node.parameters.allowed_late
-        found = loop.lateness()
-        return (
-            f"more than {limit} samples within a second were skipped at {rate:g} Hz "
-            f"({found.missed} so far; 99 % of all samples began within {1e6 * found.p99:.3g} µs): give the loop a "
-            "processor core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then "
-            "call ~/start"
-        )
+        own = self.node.parameters
+        return skipped_text(own.sample_rate, own.allowed_late, loop.lateness(), own.driver)

@@ -16,7 +16,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from hysteresis_ros.loop.pacing import Lateness  # noqa: E402
 from hysteresis_ros.nodes import plant_simulator, timing  # noqa: E402
+from hysteresis_ros.nodes.fused import skipped_text  # noqa: E402
 from hysteresis_ros.nodes.timing import Pace, Pairing  # noqa: E402
 
 
@@ -146,3 +148,15 @@ def test_the_rate_of_a_run_counts_to_its_last_sample_and_not_to_the_end_of_its_d
     clock[0] = 9.0  # the device is closed
     plant_simulator.PlantSimulatorNode._tell(node)
     assert said[0].startswith("2000 samples in 2.000 s: 1000.0 Hz, real-time factor 1,")
+
+
+def test_skipped_samples_are_blamed_on_the_driver_only_if_it_was_slow():
+    def said(longest: float, driver: str) -> str:
+        found = Lateness(0.0, 0.0, 40e-6, 0.0, 2.0, 4000, 20000, 1e-5, longest, 0.0, 0.0)
+        return skipped_text(2000.0, 100, found, driver)
+
+    slow, busy, simulated = said(2.0, "./stage.py"), said(100e-6, "./stage.py"), said(2.0, "")
+    assert "(4000 so far; the longest sample took 2 s): the calls of the driver ./stage.py in a sample" in slow
+    assert "within its period, 500 µs; if they do, give the loop a core" in slow
+    for text in (busy, simulated):
+        assert "driver" not in text and "99 % of all samples began within 40 µs): give the loop a" in text
