@@ -19,6 +19,7 @@ one kilobyte can expand to gigabytes, and the parser of ROS 2 does not support t
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import os
@@ -91,7 +92,7 @@ class Head:
 
 
 def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ file by their names."""
+    """Return the arrays of an NPZ file, given by its path or in memory, by their names."""
     with _opened(path) as (file, members):
         found = {}
         for name, member in members.items():
@@ -124,13 +125,15 @@ def read_array(path) -> np.ndarray:
 @contextlib.contextmanager
 def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
     """Open an archive; yield it and its members by array name."""
-    with _named(), zipfile.ZipFile(path) as file:
+    with _named(), contextlib.ExitStack() as stack:
+        stream = path if isinstance(path, io.BytesIO) else stack.enter_context(pathlib.Path(path).open("rb"))
+        file = stack.enter_context(zipfile.ZipFile(stream))
         members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
         kinds = {member.compress_type for member in members.values()}
         if kinds - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
             raise ArchiveError("uses a compression that NumPy does not write")
         size = sum(member.file_size for member in members.values())
-        if size > max(SMALL, RATIO * pathlib.Path(path).stat().st_size):
+        if size > max(SMALL, RATIO * stream.seek(0, os.SEEK_END)):
             raise ArchiveError(f"would unpack to {size} bytes, more than {RATIO} times its size")
         yield file, members
 

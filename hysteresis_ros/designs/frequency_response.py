@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import pathlib
 from dataclasses import dataclass, replace
 
@@ -36,6 +38,7 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.provenance import available
 from hysteresis_ros.references.recipes import (
     OPEN,
     PLAYED,
@@ -369,6 +372,14 @@ def read_plan(path) -> Plan:
         ) from None
 
 
+def contained_plan(recording: Recording) -> Plan | None:
+    """Return the plan of the excitation from the waveform of a recorded run; None without one."""
+    for content in available(recording.metadata.get("files", {})):
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            return Plan.from_text(str(read_arrays(io.BytesIO(content), lambda name: name == "plan")["plan"]))
+    return None
+
+
 def recorded_response(
     recording: Recording,
     plan: Plan | None,
@@ -377,8 +388,10 @@ def recorded_response(
     period: float | None = None,
     kind: str | None = None,
 ) -> AxisResponse:
-    """Return the response of the axis in a recording."""
+    """Return the response of the axis in a recording; ``plan`` is by default the one that the recording contains."""
     axis = _axis(recording)
+    if plan is None and period is None and kind is None:
+        plan = contained_plan(recording)
     if plan is None:
         feedback = axis is not None and axis.motion_controller.law.feedback
         loop = loop or ("closed" if feedback else "open")

@@ -22,7 +22,7 @@ import pathlib
 import platform
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, RecordingError
@@ -143,6 +143,16 @@ def require_same(name: str, text: str) -> None:
             f"{name}: the run used this file, which is too large for the recording and no longer on this disk "
             f"({text}); restore it to repeat the run"
         )
+
+
+def available(words: Mapping[str, str]) -> Iterator[bytes]:
+    """Yield the contents of the files of a run: those in the recording, and large ones unchanged on this disk."""
+    yield from whole(words).values()
+    for name, text in words.items():
+        with contextlib.suppress(RecordingError, OSError):
+            if text.startswith(DIGEST):
+                require_same(name, text)
+                yield pathlib.Path(name).read_bytes()
 
 
 #: Name of the metadata record of MCAP.

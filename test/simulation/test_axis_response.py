@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pathlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,6 +36,7 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.recordings.provenance import DIGEST, packed_files
 
 #: Kim's axis with a PID of moderate gains, and a sensor of 0.5 nm.
 GAINS = {"pid__Kp": -0.1225, "pid__Ki": 410.8, "pid__Kd": 5.522e-5, "pid__derivative_filter": 3770.0}
@@ -94,6 +97,15 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     again = recorded_response(load_run(path), plan)
     np.testing.assert_array_equal(again.loop.loop, loop.loop)
     assert again.margins.sensitivity_peak == model.sensitivity_peak
+    # the recording of a graph contains the waveform with its plan, or its digest if it is large
+    played = tmp_path / "excitation.npz"
+    contained = replace(run, metadata=run.metadata | {"files": packed_files([played])})
+    np.testing.assert_array_equal(recorded_response(contained, None).loop.loop, loop.loop)
+    digest = {str(played): DIGEST + hashlib.sha256(played.read_bytes()).hexdigest()}
+    large = replace(run, metadata=run.metadata | {"files": digest})
+    np.testing.assert_array_equal(recorded_response(large, None).loop.loop, loop.loop)
+    played.write_bytes(b"another file")
+    assert recorded_response(large, None).plan != plan
     names = ("reference", "measured")
     foreign = Recording(run.time, {name: run[name] for name in names})
     unknown = recorded_response(foreign, plan)

@@ -121,13 +121,13 @@ def steps_reference(situation: Situation, configuration: Configuration) -> np.nd
 
 
 def closed_axis(
-    situation: Situation, configuration: Configuration, stage: str, reference: np.ndarray
+    situation: Situation, configuration: Configuration, stage: str, reference: np.ndarray, **further
 ) -> AxisParameters:
-    """Return the designed axis, which follows a reference once.
+    """Return the designed axis, which follows a reference once; ``further`` is stored with the reference.
 
     Units: ``reference`` [m].
     """
-    path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate)
+    path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate, **further)
     configuration = following(configuration, path)
     low, high = _reach(situation, configuration)
     ends = {"minimum": min(low, float(np.min(reference))), "maximum": max(high, float(np.max(reference)))}
@@ -282,7 +282,7 @@ def _played_reference(situation: Situation, configuration: Configuration) -> tup
     peak = situation.plan.small * (high - low)
     rest = _resting_reference(situation, configuration)
     reference, plan = around(samples, peak, 0.5 * (low + high), rest, situation.rate, plan)
-    return reference, plan, peak
+    return reference, replace(plan, loop="closed", at="reference"), peak
 
 
 def response_peak(situation: Situation) -> float:
@@ -293,12 +293,13 @@ def response_peak(situation: Situation) -> float:
 def response_axis(situation: Situation) -> AxisParameters:
     """Return the axis whose reference is excited in closed loop."""
     configuration = designed(situation)
-    return closed_axis(situation, configuration, "response", _played_reference(situation, configuration)[0])
+    reference, plan, _ = _played_reference(situation, configuration)
+    return closed_axis(situation, configuration, "response", reference, plan=plan.text)
 
 
 def _measured_response(situation: Situation, recording: Recording) -> AxisResponse:
     configuration = designed(situation)
-    plan = replace(_played_reference(situation, configuration)[1], loop="closed", at="reference")
+    plan = _played_reference(situation, configuration)[1]
     return axis_response(recording, plan, single_axis(configuration, situation.axis.namespace))
 
 
