@@ -199,6 +199,13 @@ def follow(p, x, own, wanted):
     return feedforward(p.feedforward, x.feedforward, reference)
 
 
+@kernel
+def follow_while_holding(p, x, own, wanted):
+    """Pass on the reference [m] while a measurement is missing; else the path would be late for the whole preview."""
+    if own[RETURNING] == 0.0 and x.feedforward[feeding.STARTED] != 0.0:
+        follow(p, x, own, wanted)
+
+
 @nested
 def answer(laws, arrays, value, wanted, force):
     """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a ``value`` of NaN.
@@ -245,8 +252,7 @@ def control(laws, arrays, row):
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
     missing = 1.0 if unforced else row[at.SKIPPED]
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
-    command = own[COMMANDED]
-    value = seen
+    command, value = own[COMMANDED], seen
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
     elif own_p[USE_ORIGIN] != 0.0:
@@ -280,9 +286,8 @@ def control(laws, arrays, row):
     elif mode != HOLDING:
         command = towards(command, resting_place(own_p, own, mode, value), own_p[SAFE_STEP])
         own[RETURNING] = 1.0
-    elif own[RETURNING] == 0.0 and arrays.x.feedforward[feeding.STARTED] != 0.0:
-        # the reference moves on while a measurement is missing; otherwise it would be late for the whole preview
-        follow(arrays.p, arrays.x, own, wanted)
+    else:
+        follow_while_holding(arrays.p, arrays.x, own, wanted)
     own[UNANSWERED] += 1.0
     # the law's own command is kept, because its difference to the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
