@@ -282,7 +282,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     figures: dict = {name: None for name, *_ in FIGURES}
     off = stopped(recording)[good]
     time, reference, displacement = tracked = tracked.at(good)
-    found = find_parts(reference, displacement, off)
+    found = find_parts(reference, displacement, off, time)
     figures["stroke_m"] = stroke = float(np.ptp(reference))
     judged = np.flatnonzero(~off)
     if judged.size:
@@ -615,8 +615,10 @@ def limited_text(recording: Recording) -> str:
         ("safe_slew_rate or limits.slew_rate", rest),
     ]
     found = sorted(((float(np.mean(which)), name) for name, which in reasons if np.any(which)), reverse=True)
+    first, last = recording.time[np.flatnonzero(cut)[[0, -1]]] - recording.time[0]
     by = ", ".join(f"{name} ({100.0 * part:.3g} %)" for part, name in found)
     return (
-        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: the actuator received "
-        "less than the command, so the figures of these samples are determined by the limits"
+        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s between {first:.4g} s and "
+        f"{last:.4g} s, by {by}: the actuator received less than the command, so the figures of these samples are "
+        "determined by the limits"
     )

@@ -272,11 +272,26 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
     return found
 
 
-def find_parts(reference, displacement=None, off=None) -> list[Part]:
+def find_parts(reference, displacement=None, off=None, time=None) -> list[Part]:
     """Return the parts of a run in order; together they cover the whole run.
 
-    Units: ``reference`` [m], ``displacement`` [m].
+    With ``time``, samples that are missing between the given ones are interpolated first: without them a reference
+    that repeats would not equal itself one period later.
+
+    Units: ``reference`` [m], ``displacement`` [m], ``time`` [s].
     """
+    numbers = np.zeros(0, dtype=np.int64) if time is None else _numbers(time)
+    if numbers.size and numbers[-1] >= numbers.size:
+        every = np.arange(numbers[-1] + 1)
+        before = np.searchsorted(numbers, every, side="right") - 1
+        whole, moved = (None if one is None else np.interp(every, numbers, one) for one in (reference, displacement))
+        found = find_parts(whole, moved, None if off is None else off[before])
+        placed = [
+            replace(part, start=start, stop=stop, ends=tuple(np.searchsorted(numbers, part.ends).tolist()))
+            for part in found
+            for start, stop in [np.searchsorted(numbers, [part.start, part.stop]).tolist()]
+        ]
+        return [part for part in placed if part.stop > part.start]
     reference = np.asarray(reference, dtype=np.float64)
     off = np.zeros(reference.size, dtype=bool) if off is None else off
     edges = [0, *(np.flatnonzero(np.diff(off)) + 1).tolist(), reference.size]
@@ -288,6 +303,15 @@ def find_parts(reference, displacement=None, off=None) -> list[Part]:
             own = [part.moved(first) for part in _running(reference[first:last])]
             parts += own if displacement is None else _jumped(own, reference, displacement)
     return parts
+
+
+def _numbers(time) -> np.ndarray:
+    """Return the numbers of samples that are missing only now and then, shape (N,); else of successive samples."""
+    every = np.arange(len(time))
+    if len(time) < 3:
+        return every
+    numbers = np.rint((time - time[0]) / np.median(np.diff(time))).astype(np.int64)
+    return numbers if np.all(np.diff(numbers) > 0) and numbers[-1] < 2 * len(time) else every
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
@@ -541,7 +565,8 @@ def period_ends(recording: Recording) -> np.ndarray:
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
     finite = np.flatnonzero(np.isfinite(reference))
-    parts = [part for part in find_parts(reference[finite], off=stopped(recording)[finite]) if len(part.ends) > 1]
+    found = find_parts(reference[finite], off=stopped(recording)[finite], time=time[finite])
+    parts = [part for part in found if len(part.ends) > 1]
     longest = max(parts, key=lambda part: part.stop - part.start, default=None)
     return time[:0] if longest is None else time[finite[list(longest.ends[::-1])]]
 

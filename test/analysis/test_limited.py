@@ -35,7 +35,8 @@ def run(cut, voltage=None, mode=0.0):
 def test_most_of_a_run_at_a_slew_rate_is_said_first_with_its_share_and_time():
     recording = run(np.arange(N) < 1340)
     said = limited_text(recording)
-    assert said.startswith("the output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate")
+    share = "the output was limited for 67 % of the run, 1.34 s between 0 s and 1.339 s"
+    assert said.startswith(f"{share}, by safe_slew_rate or limits.slew_rate")
     assert sampling_text(recording).startswith("The output was limited for 67 %")
     assert "Evaluated at all 2000 samples" in sampling_text(recording)
 
@@ -48,7 +49,8 @@ def test_the_page_of_a_run_says_it_before_its_figures():
     path = 5e-6 * (1.0 - np.cos(20.0 * cut.time))
     signals = {"reference": path, "displacement": path, "measured": path}
     page = render_report(Recording(cut.time, {**cut.signals, **signals}, {}, {}), "cut")
-    said = "The output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate"
+    share = "The output was limited for 67 % of the run, 1.34 s between 0 s and 1.339 s"
+    said = f"{share}, by safe_slew_rate or limits.slew_rate"
     assert page.count(said) == 1 and page.index(said) < page.index('<table class="figures">')
 
 

@@ -333,3 +333,16 @@ def test_a_skipped_sample_of_a_device_disturbs_although_it_has_no_measurement_an
     assert f"without these spans {1e9 * figures['undisturbed_rms_error_m']:.4g} nm" in error_chart(run).note
     still = Recording(recording.time, {"reference": reference, "measured": reference - error, "skipped": 0.0 * skipped})
     assert traces_chart(judged(still)).marked is None and not error_chart(judged(still)).note
+
+
+@pytest.mark.parametrize("shape", [lambda t: np.abs((5.0 * t + 0.5) % 1.0 - 0.5), lambda t: np.sin(10.0 * np.pi * t)])
+def test_a_scan_with_missing_samples_is_one_scan_with_its_period(shape):
+    time = np.arange(2000) / RATE
+    there = np.random.default_rng(3).random(2000) > 0.05
+    there[900:915] = False
+    reference = 1e-5 * shape(time)
+    columns = {"reference": reference, "displacement": np.where(there, reference, np.nan)}
+    (part,) = compute_metrics(Recording.from_columns({"time": time, **columns}))["parts"]
+    assert part["part"] == "scan" and part["period_s"] == pytest.approx(0.2, abs=1.1 / RATE) and part["periods"] == 9
+    removed = Recording.from_columns({"time": time[there], **{k: v[there] for k, v in columns.items()}})
+    assert period_ends(removed).size == 10
