@@ -10,8 +10,8 @@
 """Hysteretic piezo positioning on ROS 2, from a recording to a controlled axis.
 
 record → identify → simulate → compensate → control → analyse, with the same numbers offline and in the running nodes:
-every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.models.block`) that the offline
-simulation and the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
+every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.models.block`) that both the offline
+simulation and the ROS 2 nodes call. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
 ``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing`,
@@ -129,7 +129,7 @@ __all__ = [
     "with_dynamics",
 ]
 
-#: Modules by the name that they have here, if it is not their own.
+#: Public names of modules: name in this package → module.
 _MODULES = {
     "models": "hysteresis_ros.models",
     "references": "hysteresis_ros.references",

@@ -141,7 +141,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return run_cell(self)
 
     def between(self, first: float, last: float) -> Run:
-        """Return the part of the run between two instants, both included; its arrays are copies.
+        """Return the part of the run between two instants, both included.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return Run.of(within(self, first, last))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the signals as a table of pandas, the time [s] as its index.
+        """Return the signals as a pandas table with the time [s] as its index.
 
         Returns
         -------
@@ -195,7 +195,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return table
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix of the path.
+        """Write the run as ``.npz``, ``.csv`` or ``.mcap``, according to the suffix of the path.
 
         Parameters
         ----------
@@ -255,7 +255,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
     data : IdentificationData
         The measured data.
     plant : PlantModel
-        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+        The model: hysteresis, creep, dynamics, and the inverse that the compensator uses.
     predicted : ndarray, shape (N,)
         Displacement predicted by the model [m].
     validation : Validation
@@ -264,11 +264,11 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         The voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
         Figures by names that contain their units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``,
-        ``inverse_rmse_v`` and more; None for values that are not finite. ``--json`` prints the same.
+        ``inverse_rmse_v`` and more; None for values that are not finite. ``--json`` prints the same figures.
     warnings : tuple of str
         Warnings, one sentence each.
     recording : RecordingSummary, optional
-        What the recording showed before the fit, as lines to print.
+        Summary of the recording before the fit, as lines to print.
     """
 
     def predict(
@@ -286,9 +286,9 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         voltage : array_like, shape (N,), or Recording
             Voltage [V]; a recording gives its signal ``voltage`` and its sample time.
         sample_time : float, optional
-            Sample time of the voltage [s]; by default the model's.
+            Sample time of the voltage [s]; by default the sample time of the model.
         intersample : str, optional
-            Assumed voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the
+            Assumed course of the voltage between samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the
             identification.
         initial : str, optional
             The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage was periodic before) or
@@ -352,7 +352,7 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
     data : IdentificationData
         The measured data.
     plant : PlantModel
-        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+        The model: hysteresis, creep, dynamics, and the inverse that the compensator uses.
     predicted : ndarray, shape (N,)
         Displacement predicted by the model [m].
     validation : Validation
@@ -366,12 +366,12 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
     identification : Identification
         The result with standard deviations, assumptions and, for iterative fits, the parameters after each iteration.
     text : str
-        Text of the parameter file: a complete axis, which plant, compensator and controller load.
+        Text of the parameter file of a complete axis; plant, compensator and controller load it.
     response : ResponseCheck, optional
         How well the recording determines the frequency response; None for a model whose hysteresis contains the
         dynamics.
     recording : RecordingSummary, optional
-        What the recording showed before the fit, as lines to print.
+        Summary of the recording before the fit, as lines to print.
     """
 
     def _named(self) -> str:
@@ -389,7 +389,7 @@ class DesignedFile:  # numpydoc ignore=PR02
     """A design and the parameter file that contains it."""
 
     lines: tuple[str, ...]  #: The table that ``hysteresis design`` prints.
-    text: str  #: The source's parameter file with the design.
+    text: str  #: Parameter file of the axis, including the design.
     parameters: Any  #: The designed parameters; they have a ``type``.
 
     def __str__(self) -> str:
@@ -423,12 +423,12 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
     lines : tuple of str
         The table that ``hysteresis design`` prints.
     text : str
-        The source's parameter file with the new controller.
+        Parameter file of the axis, including the new controller.
     parameters : ControllerParameters
         Type, gains and model of the controller.
     margins : Margins
         Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` states whether they
-        meet the specification of every design, ``margins.misses()`` lists the unmet specifications.
+        meet the specification that every design must meet, ``margins.misses()`` lists the unmet specifications.
     warnings : tuple of str
         Warnings, one sentence each.
     """
@@ -459,7 +459,7 @@ class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
     lines : tuple of str
         The table that ``hysteresis design --learning`` prints.
     text : str
-        The source's parameter file with the learning.
+        Parameter file of the axis, including the learning.
     parameters : LearningParameters
         Kind, period, filters and bounds of the learning.
     """
@@ -491,7 +491,7 @@ class Response(AxisResponse):  # numpydoc ignore=PR02
         return "\n".join(self.lines())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the response as ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``, by the suffix of the path.
+        """Write the response as ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``, according to the suffix.
 
         Parameters
         ----------
@@ -653,8 +653,8 @@ def simulate(
 ) -> Run | ArrayRun:
     """Run an axis, or a stage of coupled axes, offline from rest.
 
-    An axis gives the same bits as its nodes in lockstep. If the axis may be unable to follow its reference, a Python
-    warning reports this.
+    The result of an axis is bit-identical to a run of its nodes in lockstep. If the axis may be unable to follow its
+    reference, a Python warning reports this.
 
     Parameters
     ----------
@@ -662,7 +662,7 @@ def simulate(
         The axis: a parameter file, the name of a shipped one, a result of :func:`load`, :func:`identify` or
         :func:`design`, or a run, whose axis is then simulated.
     duration : float, optional
-        Duration [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
+        Duration [s]; by default from ``setpoints``, from the parameter ``samples`` or from the waveform.
     setpoints : array_like, shape (N,), or mapping of str to array_like, optional
         Setpoint at each sample [m]; the last one is held until the end of the run. For a stage: a mapping by the names
         of its axes.
@@ -675,20 +675,20 @@ def simulate(
         seconds, such as ``"stale:0.1:0.3"``. ``docs/topics.md`` lists the names.
     scan : Scan, optional
         Scan that a stage follows around its setpoints, such as
-        ``hysteresis_ros.references.scans.scan_of("raster", {"width": 30e-6, "depth": 30e-6})``; by default that of its
-        configuration. :func:`report` then evaluates the scan.
+        ``hysteresis_ros.references.scans.scan_of("raster", {"width": 30e-6, "depth": 30e-6})``; by default the scan of
+        its configuration. :func:`report` then evaluates the scan.
     quiet : sequence of tuple or str, optional
-        Quiet holds of an axis: ``(start, duration)`` in seconds, on request with the largest drift [m] as a third
+        Quiet holds of an axis: ``(start, duration)`` in seconds, optionally with the largest drift [m] as a third
         number, or a text such as ``"1s:500ms:5nm"``.
     namespace : str, optional
         The axis to use, if a configuration contains several; for a stage, the axis in which faults are injected.
     axes : int, optional
-        Run this number of independent axes like this one (1 … 4096) in one call; setpoints may then have the shape
+        Number of independent copies of this axis to run in one call (1 … 4096); setpoints may then have the shape
         (axes, N).
     each : mapping of str to sequence, optional
-        Parameters in which these axes differ, as in :func:`axis_array`.
+        Parameters in which the copies differ, as in :func:`axis_array`.
     threads : int
-        Number of threads that compute these axes.
+        Number of threads that compute the copies.
 
     Returns
     -------
@@ -702,7 +702,7 @@ def simulate(
     ConfigurationError
         The configuration cannot be read, the length of the run is not given, or a fault is unknown.
     ParameterError
-        A parameter is wrong, or a quiet hold longer than creep allows; the message states the allowed values.
+        A parameter is wrong, or a quiet hold is longer than creep allows; the message states the allowed values.
 
     Examples
     --------
@@ -759,9 +759,9 @@ def axis_array(
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
 ) -> AxisArray:
-    """Return many independent axes that one call advances, such as the actuators of a deformable mirror.
+    """Return many independent axes that advance together in one call, such as the actuators of a deformable mirror.
 
-    Every axis gives the same bits as alone, whatever the number of axes and threads.
+    The result of each axis is bit-identical to a run of this axis alone, for any number of axes and threads.
 
     Parameters
     ----------
@@ -882,7 +882,7 @@ def identify(
         Linear dynamics after the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
         they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
-        Options of the model, such as ``{"play_count": 20}``; for a stage those of :class:`.StageRequest`.
+        Options of the model, such as ``{"play_count": 20}``; for a stage the options of :class:`.StageRequest`.
     inverse : str, optional
         Inverse of the compensator; by default the first inverse of the model.
     progress : callable, optional
@@ -993,9 +993,9 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name; for a
-        stage that follows a scan also ``scan``, errors in the plane (:func:`scan_run`). For many independent axes each
-        figure is an array, shape (n,), with NaN for an axis that lacks the figure.
+        its moves and steps. For several runs, or for a stage: one such dictionary per run or axis, by name; a stage
+        that follows a scan also has ``scan``, the errors in the plane (:func:`scan_run`). For many independent axes
+        each figure is an array, shape (n,), with NaN for an axis that lacks the figure.
 
     Raises
     ------
@@ -1049,8 +1049,8 @@ def report(
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name; for a
-        stage that follows a scan also ``scan``, errors in the plane (:func:`scan_run`).
+        its moves and steps. For several runs, or for a stage: one such dictionary per run or axis, by name; a stage
+        that follows a scan also has ``scan``, the errors in the plane (:func:`scan_run`).
 
     Raises
     ------
@@ -1121,8 +1121,8 @@ def scan_run(
         The complete run of a stage.
     first, last : float, optional
         Part of the run to evaluate [s]; by default all samples after the first period of the path, or after its first
-        line if the run has fewer than two periods. Samples count while all axes follow the scan, also after it was
-        stopped and has begun again.
+        line if the run has fewer than two periods. Samples count while all axes follow the scan, including after a stop
+        and restart of the scan.
 
     Returns
     -------
@@ -1164,7 +1164,7 @@ def scan_run(
         )
         moment = time + _delays_of_path(run, names, time, parameters)
         reference = np.array([run[f"{name}/reference"] for name in names])
-    # references count from the zero of the controllers' models
+    # references are relative to the zero of the controllers' models
     zeros = np.array([parameters.axes[place].motion_controller.model.preload.offset for place in places])
     displacement = displacement[places] - zeros[:, np.newaxis]
     ends = parameters.stage.scan.periods * scan.period or np.inf
@@ -1182,15 +1182,15 @@ def scan_run(
     return ScanRun(scan, time[there], *signals, triggers, moments, names)
 
 
-#: Differences of times that are rounding of stamps [s].
+#: Time differences below this are rounding errors of the stamps [s].
 ROUNDED = 1e-7
 
 
 def _delays_of_path(run: Recording, names: Sequence[str], time: np.ndarray, parameters: StageParameters) -> np.ndarray:
     """Return the time on the path of a scan minus the time of the run, for each sample [s].
 
-    It is zero until the scan begins again, or samples are missing from the recording. NaN: the axes do not follow the
-    scan together.
+    The difference is zero until the scan is restarted, or samples are missing from the recording. NaN: the axes do not
+    follow the scan together.
     """
     signals = [f"{name}/waveform_sample" for name in names]
     if not all(signal in run for signal in signals):
@@ -1270,7 +1270,7 @@ def configuration_of(source: Source) -> Configuration:
 
 
 def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None) -> Recording:
-    """Return a recording: read a file, and from a recording of a stage take the named axis."""
+    """Return a recording, read from its file if necessary; for a stage, return the named axis."""
     if isinstance(source, Recording):
         return source.axis(namespace) if namespace and source.axes else source
     return load_run(source, namespace, further=True)

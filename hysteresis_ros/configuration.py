@@ -10,8 +10,8 @@
 """Parameters and parameter files: one dataclass per block, which maps 1:1 to a ROS 2 parameter file.
 
 A block's parameters are a frozen dataclass derived from :class:`Parameters`; every field is declared by
-:func:`parameter` (a value) or :func:`group` (a nested dataclass). The same table serves the offline simulation, the
-declaration of ROS parameters and the generated documentation.
+:func:`parameter` (a value) or :func:`group` (a nested dataclass). The table of these fields serves the offline
+simulation, the declaration of ROS parameters and the generated documentation.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def group(cls, *, variant_of: str | None = None) -> Any:
 def variants(chooser: str, choices: dict[str, type]):
     """Return a class decorator that nests one group for each allowed value of the parameter ``chooser``.
 
-    Write it under ``@dataclass(frozen=True)``. With it the groups of a class can come from a registry.
+    Write it under ``@dataclass(frozen=True)``. The groups of a class can then come from a registry.
     """
 
     def add(cls):
@@ -178,7 +178,7 @@ def variants(chooser: str, choices: dict[str, type]):
     return add
 
 
-#: Cache of evaluated annotations: they are strings, and evaluating them at every look-up is slow.
+#: Cache of evaluated annotations, because annotations are strings and evaluating them at every look-up is slow.
 _type_hints: Callable[[type], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints)
 
 
@@ -310,7 +310,7 @@ class Parameters:
     def _valid(self):
         """Return self, marked as free of problems.
 
-        The object is immutable, so the result remains valid; this makes parameter changes at run time fast. Groups that
+        The object is immutable, so the mark remains valid; it makes parameter changes at run time fast. Groups that
         are not in use have not been checked.
         """
         for item in fields(self):
@@ -355,7 +355,7 @@ NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hy
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 #: Section of a stage of coupled axes.
 STAGE = "stage"
-#: Suffixes of recordings, which are no texts.
+#: Suffixes of recordings, which are not text files.
 RECORDED = (".npz", ".mcap", ".db3")
 
 
@@ -632,7 +632,7 @@ def _represent_float(dumper, value):
 
 
 _Dumper.add_representer(float, _represent_float)
-# the parser of ROS reads these as true and false, as YAML 1.1 specifies
+# the parser of ROS reads y, Y, n and N as true and false, as YAML 1.1 specifies
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("[yYnN]"), list("yYnN"))
 _Dumper.add_representer(
     tuple, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", list(value), flow_style=True)

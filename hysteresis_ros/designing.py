@@ -107,14 +107,14 @@ def design(
     noise : float, optional
         RMS noise of the sensor [m], which limits the bandwidth; by default 0.01 % of the stroke.
     robust : Uncertainty, optional
-        Plants around the model; the design keeps the margins on each of them
+        Plants around the model; the design keeps the margins for each of these plants
         (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
     damping : str, optional
-        Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` removes the damping of the
-        file.
+        Damp the resonance of the model first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` removes the damping that
+        the file contains.
     response : path-like or Response, optional
-        Measured frequency response, see :func:`frequency_response`: the design tolerates its difference from the model,
-        and its margins are evaluated on it.
+        Measured frequency response, see :func:`frequency_response`: the design tolerates the difference between this
+        response and the model, and the margins are evaluated on this response.
     namespace : str, optional
         The axis to use, if a configuration contains several.
 
@@ -175,10 +175,10 @@ def design_learning(
     learning : str
         ``inversion``, ``norm_optimal`` or ``repetitive``.
     period : float, optional
-        Period of the reference [s]; by default that of the waveform.
+        Period of the reference [s]; by default the period of the waveform.
     bandwidth : float, optional
-        Bandwidth of the learning [Hz]; by default the one that leaves the least error of noise and reference, or the
-        highest at which it converges on all possible plants if the sensor has no noise.
+        Bandwidth of the learning [Hz]; by default the bandwidth with the least error from noise and reference or, if
+        the sensor has no noise, the highest bandwidth at which learning converges on all possible plants.
     maximum : float, optional
         Largest correction [m]; by default 10 % of the stroke.
     namespace : str, optional
@@ -242,7 +242,7 @@ def frequency_response(
     amplitude : str or float, optional
         Peak of the excitation: ``"2V"``, ``"500nm"``, or a fraction of the range; by default 0.05.
     offset : str or float, optional
-        Operating point: ``"40V"``, ``"30um"``, or a fraction of the range; by default its middle.
+        Operating point: ``"40V"``, ``"30um"``, or a fraction of the range; by default the middle of the range.
     namespace : str, optional
         The axis to use, if there are several.
 
@@ -285,7 +285,7 @@ def frequency_response(
 
 
 def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
-    """Return the response of a recording or of its file; the plan of the excitation may be in a file next to it."""
+    """Return the response of a recording or of its file; a file next to it may contain the plan of the excitation."""
     if isinstance(source, Recording):
         return _response(recorded_response(source, None, loop, at))
     plan = read_plan(plan_file(source)) if plan_file(source).exists() else None
@@ -297,7 +297,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a random plant close to the configured plant: gain, loop width, creep and times vary, the models do not.
+    """Draw a random plant close to the configured plant: gain, loop width, creep and time constants vary.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def shortened(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a value with Python's numbers in place of NumPy's, whose repr names their type."""
+    """Return a value with NumPy numbers converted to Python numbers, because their repr contains no type."""
     if type(value) is tuple:
         return tuple(map(_plain, value))
     if type(value) is list:

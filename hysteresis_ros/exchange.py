@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["from_control", "to_control", "to_scipy", "with_dynamics"]
 
-#: Parameter groups of linear dynamics by node: those of the plant, and those of the controller's model.
+#: Parameter group of the linear dynamics of each node: those of the plant, or those of the controller's model.
 NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
 #: A feedthrough below this fraction of the gain counts as rounding.
 ROUNDING = 1e-9
@@ -57,8 +57,8 @@ def to_control(
     Returns
     -------
     control.StateSpace
-        From the input of the dynamics [m], held over each sample, to the displacement [m] at its beginning, with the
-        sample time ``dt`` [s]. Hysteresis and creep are not included; a delay is included as states.
+        From the input of the dynamics [m], held over each sample, to the displacement [m] at the beginning of the
+        sample, with the sample time ``dt`` [s]. Hysteresis and creep are not included; a delay is included as states.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     Parameters
     ----------
     system : control.StateSpace, control.TransferFunction or a system of scipy.signal
-        System with one input and one output, discrete or continuous. A continuous one is sampled with a zero-order
+        System with one input and one output, discrete or continuous. A continuous system is sampled with a zero-order
         hold.
     sample_time : float, optional
         Sample time [s]; required if the system does not state it.
@@ -163,7 +163,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
             f"sample_time = {sample_time:.9g} s: the system is for {given:.9g} s; convert it, or leave sample_time out"
         )
     if stated is None:
-        # the plant is read before its input changes, so the feedthrough acts on the previous input
+        # the plant is measured before its input changes, so the feedthrough acts on the previous input
         A, B = zero_order_hold(A, B, given) if len(A) else (A, B)
     else:
         model = StateSpace(A, B, C, D)
@@ -248,7 +248,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete system without it."""
+    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete one without."""
     home = type(system).__module__.partition(".")[0]
     if home == "control":
         import control

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Run jobs in parallel: in processes of this machine, or on the workers of a Dask cluster.
+"""Run jobs in parallel: in processes on this machine, or on the workers of a Dask cluster.
 
 Each result arrives when its job ends, with the number of the job, so that no result depends on the order of execution.
 A worker process exits when the process that started it exits. Another worker repeats the jobs of a lost worker; an
@@ -50,7 +50,7 @@ class Job(NamedTuple):
     arguments: tuple
 
     def outcome(self) -> tuple[Any, str]:
-        """Return the result, and the message of a wrong input as text, because not every error can be pickled."""
+        """Return the result and, for wrong input, the message as text, because not every error can be pickled."""
         try:
             return self.function(*self.arguments), ""
         except HysteresisError as error:
@@ -128,9 +128,9 @@ _threads_before: list[tuple[Any, int]] = []
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute linear algebra in one thread of this process; the number of threads before is restored at the end.
+    """Compute linear algebra in one thread of this process; restore the previous number of threads at the end.
 
-    Small arrays gain nothing from several threads of OpenBLAS, which wait for each other in a loop. A variable of
+    Small arrays gain nothing from several threads of OpenBLAS, which busy-wait for each other. A variable of
     :data:`THREADS` in the environment, or another BLAS, leaves the number unchanged.
     """
     global _threads_users
@@ -212,13 +212,13 @@ def _ended() -> HysteresisError:
 
 @contextlib.contextmanager
 def _alone() -> Iterator[None]:
-    """Let the processes that start in the block get no interrupts and compute with one thread each.
+    """Start the processes of the block without interrupts, and with one thread for linear algebra each.
 
-    An interrupt of this process comes at the end of the block. The processes do not run the user's main script, so it
-    needs no ``if __name__ == "__main__"``.
+    An interrupt of this process is delivered at the end of the block. The processes do not run the user's main script,
+    so it needs no ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit the mask
     given = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     sys.modules["__main__"] = types.ModuleType("__main__")
@@ -340,7 +340,7 @@ WORTH = 10.0
 
 
 def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> list[Any]:
-    """Return the results of jobs, in their order."""
+    """Run jobs and return their results, in the order of the jobs."""
     if workers is None and seconds < WORTH:
         workers = 1
     with executor(workers, jobs=len(jobs)) as found:

@@ -9,11 +9,11 @@
 
 """Read and write files safely: writes are atomic, reads are bounded, and archives may contain only numbers and texts.
 
-The header of an array is compared with the size of its content, and the unpacked size of an archive with the
-compression ratio of measured data, so a file that states a wrong size cannot exhaust the memory.
+The size that the header of an array states must fit its content, and an archive may unpack to at most 64 MiB or 100
+times its own size, so a file that states a wrong size cannot exhaust the memory.
 
-YAML is read by safe loaders only, which create plain values and nothing else. Aliases are refused: with them a file of
-one kilobyte can expand to gigabytes, and the parser of ROS 2 does not support them.
+YAML is read by safe loaders only, which create plain values and nothing else. Aliases are refused: a file of one
+kilobyte with aliases can expand to gigabytes, and the parser of ROS 2 does not support them.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Head:
         return self.shape[0] if len(self.shape) == 1 and self.dtype.kind in "fiu" else None
 
     def require(self, size: int) -> None:
-        """Refuse an array larger than its content of ``size`` bytes, or of other types than numbers and texts."""
+        """Refuse an array that is larger than its content of ``size`` bytes, or does not contain numbers or texts."""
         if self.dtype.kind not in KINDS:
             raise ArchiveError(f"contains an array of {self.dtype}: only numbers and texts are read")
         count = math.prod(self.shape)
@@ -92,7 +92,7 @@ class Head:
 
 
 def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ file, given by its path or in memory, by their names."""
+    """Return the arrays of an NPZ file by name; ``path`` is its path, or its content in memory."""
     with _opened(path) as (file, members):
         found = {}
         for name, member in members.items():
@@ -150,7 +150,7 @@ def _named() -> Iterator[None]:
 
 
 def _sound(array: np.ndarray) -> np.ndarray:
-    """Return an array; refuse texts with invalid code points, which would end the process at a later use."""
+    """Return an array; refuse texts with invalid code points, which would crash the process later."""
     if array.dtype.kind == "U":
         points = np.ascontiguousarray(array).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
         if np.any((points > 0x10FFFF) | (points >> 11 == 0xD800 >> 11)):

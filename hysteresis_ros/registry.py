@@ -9,8 +9,9 @@
 
 """Registries of declarations in folders and in other packages, and notebook classes generated from them.
 
-Every module (or folder) in such a folder declares an object under one name, for instance ``MODEL``, or a tuple of them.
-The registry finds every file of the folder. Other packages add declarations by an entry point of the registry's group.
+Every module (or folder) in such a folder declares an object under one name, for instance ``MODEL``, or a tuple of such
+objects. The registry finds every file of the folder. Other packages add declarations by an entry point of the
+registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
 entry of a registry. Such a class is generated: it is the block with a constructor that takes keywords.
@@ -92,7 +93,7 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 def resolved(path: str) -> Any:
     """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    With such a path a declaration can name an object of a folder that it must not import.
+    With such a path a declaration can refer to an object in a folder that it must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)

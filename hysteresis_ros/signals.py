@@ -32,13 +32,13 @@ class Signal:
 
     name: str  #: Column of recordings.
     unit: str  #: SI unit; ``1`` for counts, codes and values in the units of a model.
-    #: Node whose part of the loop writes it, or ``user``. On a motor's axis the ``inchworm_sequencer`` writes the
-    #: signals of ``reference_generator``.
+    #: Node that writes the signal, or ``user``. On the axis of a motor, the ``inchworm_sequencer`` writes the signals
+    #: of the ``reference_generator``.
     writer: str
     description: str  #: Meaning, as a phrase.
-    state: tuple[tuple[str, str], ...] = ()  #: Nodes whose ``~/state`` contains it, and its name there.
-    topic: str = ""  #: Float64 topic that carries it, if any.
-    motor: bool = False  #: Whether only an inchworm motor has it.
+    state: tuple[tuple[str, str], ...] = ()  #: Nodes whose ``~/state`` contains the signal, and its name there.
+    topic: str = ""  #: Float64 topic with the signal, if any.
+    motor: bool = False  #: Whether only an inchworm motor has this signal.
 
 
 def _at(*nodes: str, name: str):
@@ -269,7 +269,7 @@ ASKED = (SETPOINT, TRIGGER_IN, REQUEST, SPEED)
 GIVEN = (SETPOINT, SKIPPED, TRIGGER_IN, REQUEST, SPEED)
 ACTUATOR_GIVEN = 3
 
-#: Length of a row for the axis of an actuator, and for that of a motor.
+#: Length of a row for the axis of an actuator, and for the axis of a motor.
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
 MOTOR_ROW = len(SIGNALS)
 
@@ -279,7 +279,7 @@ TRIPPED_FRAME = "tripped"
 #: Entries of the change log that are not user actions: initial parameters of a node, and the end of a run.
 CONFIGURED, ENDED = "configure", "end"
 
-#: SI units by name, with the time of the samples.
+#: SI unit of each signal by name, and of the time.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 
 #: Name of the requested voltage in a run whose recorded ``voltage`` differs from it.
@@ -316,7 +316,7 @@ class AxisKind:
 
     source: str  #: Node that writes the reference.
     row: tuple[Signal, ...]  #: Signals of a row, in order.
-    given: tuple[int, ...]  #: Indices in a row of the inputs of a run.
+    given: tuple[int, ...]  #: Row indices of the inputs of a run.
     motor: bool  #: Whether it is an inchworm motor, which walks and accepts requests in addition to setpoints.
 
     @property
@@ -369,7 +369,7 @@ _PLACES = {signal.name: index for index, signal in enumerate(SIGNALS)}
 
 
 def state_signals(node: str) -> dict[str, str]:
-    """Return the content of a node's ``~/state`` on any axis; that of an actuator lacks the signals of a motor."""
+    """Return the content of a node's ``~/state``; on the axis of an actuator, it lacks the signals of a motor."""
     return INCHWORM.state(node)
 
 
@@ -384,7 +384,7 @@ def float_topics() -> dict[str, str]:
 
 
 def sources(name: str) -> tuple[tuple[str, str], ...]:
-    """Return (node, name in its ``~/state``) for each place of a signal in a recording, the preferred place first."""
+    """Return (node, name in its ``~/state``) for each source of a signal in a recording, the preferred source first."""
     signal = SIGNALS[place(name)]
     substitute = SUBSTITUTES.get(name)
     return signal.state + (SIGNALS[place(substitute)].state if substitute else ())

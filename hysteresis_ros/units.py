@@ -37,7 +37,7 @@ SUBUNITS = {
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
-    # a temperature in degC differs from one in K by more than a factor, so it stays as it is
+    # a temperature in degC differs from one in K by more than a factor, so it is not converted
     **{unit: (unit, 1.0) for unit in ("degC", "T", "Nm")},
     "mm/s": ("m/s", 1e3),
     "um/s": ("m/s", 1e6),
@@ -158,9 +158,9 @@ _SHOWN: contextvars.ContextVar[dict[str, str] | None] = contextvars.ContextVar("
 
 @contextlib.contextmanager
 def shown_in(input_unit: str, output_unit: str) -> Iterator[None]:
-    """Within the context, :func:`readable` and :func:`shown_unit` take V as the one unit, and m as the other.
+    """Within the context, :func:`readable` and :func:`shown_unit` show V as ``input_unit``, and m as ``output_unit``.
 
-    The models call their input a voltage and their output a displacement; a recording may have others.
+    The models call their input a voltage and their output a displacement; a recording may contain other quantities.
     """
     token = _SHOWN.set({"V": input_unit, "m": output_unit})
     try:

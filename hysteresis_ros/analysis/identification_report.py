@@ -34,7 +34,7 @@ from hysteresis_ros.units import bare_name, figure_name, readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
-#: Largest number of samples drawn of a loop.
+#: Largest number of samples drawn for a loop.
 LOOP_POINTS = 20000
 #: Fraction of the held-out realisation that is drawn in detail.
 DETAIL = 0.05
@@ -159,7 +159,7 @@ def residual_figure(data: IdentificationData, found: Validation):
 
 
 def loops_figure(data: IdentificationData, predicted, found: Validation):
-    """Return the figures of the loops and of the residual over the voltage [µm, V]."""
+    """Return the figure of the loops and of the residual versus the voltage [µm, V]."""
     figure, (loops, left) = new_figure(4.2, 2)
     first, stride = found.skipped, max(1, found.samples // LOOP_POINTS)
     u = data.input[first::stride]
@@ -177,7 +177,7 @@ def loops_figure(data: IdentificationData, predicted, found: Validation):
 
 
 def correlations_figure(found: Validation):
-    """Return the figure of autocorrelation and input cross-correlation, with their bounds, over the lag [samples]."""
+    """Return the figure of autocorrelation and input cross-correlation, with their bounds, versus the lag [samples]."""
     tests = [("autocorrelation", found.autocorrelation)]
     if found.cross_correlation is not None:
         tests.append(("input → residual", found.cross_correlation))
@@ -197,7 +197,7 @@ def _correlation(axis, title: str, test: CorrelationTest) -> None:
 
 
 def inverse_figure(data: IdentificationData, inverse: InverseValidation):
-    """Return the figure of the error of the input recovered by the inverse over time [mV or the input's unit, s]."""
+    """Return the figure of the error of the input that the inverse computes, over time [mV or the input's unit, s]."""
     figure, (axis,) = new_figure(2.6)
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     time = data.time[data.time.size - inverse.error.size :]
@@ -208,7 +208,7 @@ def inverse_figure(data: IdentificationData, inverse: InverseValidation):
 
 
 def trajectory_figure(names, values):
-    """Return the figure of the parameters over the iterations; each is divided by its final value."""
+    """Return the figure of the parameters versus the iteration, each divided by its final value."""
     figure, (axis,) = new_figure(3.0)
     values = np.asarray(values)
     for name, column in zip(names, values.T, strict=True):
@@ -348,7 +348,7 @@ def _stage_plots(names: Sequence[str], found: ShownStage, closed: ClosedLoops | 
 
 
 def held_out_figure(held: Held, output: int):
-    """Return the figure of a part of the held-out realisation in detail, and of the residual of all of it."""
+    """Return the figure of the held-out realisation: its beginning in detail, and its whole residual."""
     figure, (detail, residual) = new_figure(3.2, 2)
     count = max(int(DETAIL * len(held.time)), 2)
     measured, predicted = held.measured[:, output], held.predicted[:, output]

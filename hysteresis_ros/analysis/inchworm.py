@@ -43,8 +43,7 @@ class Steps:
     index: np.ndarray  #: shape (S,); Sample at which the sequencer evaluated each step.
     time: np.ndarray  #: shape (S,); Time of that sample [s].
     direction: np.ndarray  #: shape (S,); +1 forward, -1 backward.
-    #: commanded, achieved: shape (S,); Step lengths [m], negative backward; ``achieved`` is that of the measured
-    #: slider.
+    #: commanded, achieved: shape (S,); Step lengths [m], negative backward; ``achieved`` is measured at the slider.
     commanded: np.ndarray
     achieved: np.ndarray
     slip: np.ndarray  #: shape (S,); Extension minus the slider's movement in the step's direction [m].
@@ -69,7 +68,7 @@ class Move:
     last: int
     kind: str  #: ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
     goal: float | None  #: Requested position [m]; None if the request states no position.
-    #: Sample from which on the sequencer reports arrival until the end of the move; None if it does not arrive.
+    #: Sample from which the sequencer reports arrival until the end of the move; None: no arrival.
     arrival: int | None
 
 
@@ -259,21 +258,21 @@ def inchworm_figures(recording: Recording) -> dict:
     ``time_s``                     until the sequencer reports arrival that lasts until the next move
     ``steps``, ``missed``          number of steps, whole and partial; missed or repeated grips
     ``mean_speed_m_s``             abs(q at arrival - q at the beginning) / ``time_s``
-    ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; full
-                                   steps are those of at least 95 % of the move's median extension
-    ``walking_speed_percent``      the same in % of the gait's: stroke / period
+    ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; a full
+                                   step extends by at least 95 % of the move's median extension
+    ``walking_speed_percent``      the same in % of the gait's speed, stroke / period
     ``final_error_rms_m``          √(mean (setpoint - q)²) over the second half of the time from arrival to the end
-    ``final_error_mean_m``         mean of the same
-    ``final_error_max_m``          largest abs of the same
-    ``overshoot_m``                farthest q beyond the setpoint in the direction of the move, at least 0
-    ``slip_m``, ``slip_percent``   Σ (extension - movement of the slider along it) of its steps; in % of Σ extension
+    ``final_error_mean_m``         mean of setpoint - q over the same time
+    ``final_error_max_m``          largest abs(setpoint - q) over the same time
+    ``overshoot_m``                largest distance of q beyond the setpoint in the direction of the move, at least 0
+    ``slip_m``, ``slip_percent``   Σ (extension - slider movement along the extension) of its steps; in % of Σ extension
     ============================== ===================================================================================
 
     Figures of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m``
     (commanded minus achieved length along the step), ``clamp_voltage_v`` (minimum of the higher of the two clamp
     voltages; it is never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and
     ``gait_speed_m_s``, ``stroke_m``, ``period_s`` of the configuration. The other figures are those of
-    :func:`hysteresis_ros.analysis.metrics.compute_metrics`; their ``reference`` is that of the extender.
+    :func:`hysteresis_ros.analysis.metrics.compute_metrics`; their ``reference`` is the reference of the extender.
     """
     return figures_of(inchworm_run(recording), recording)
 

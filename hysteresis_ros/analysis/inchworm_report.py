@@ -57,7 +57,7 @@ ACTIVITIES = {
     "stopping": ("#f7b5b0", (at.STOPPING,)),
     "released": ("#dddddd", (at.RELEASED,)),
 }
-#: Holds between the steps of a walk that are shorter than this [s] belong to the walk.
+#: A hold between the steps of a walk belongs to the walk if it is shorter than this [s].
 PAUSE = 0.05
 
 _SETPOINT, _SLIDER, _EXTENDER, _REFERENCE = "#444444", "#d1495b", "#1f6f8b", "#9a9a9a"
@@ -137,7 +137,7 @@ def arrival_figure(run: InchwormRun):
 
 
 def final_error_figure(run: InchwormRun):
-    """Return the figure of slider - setpoint from arrival to end, for one move after the other [nm, s]."""
+    """Return the figure of slider - setpoint from arrival to the end of each move [nm, s]."""
     figure, (axis,) = new_figure(2.8)
     limit = run.tolerance * 1e9
     for move in run.moves:
@@ -189,7 +189,7 @@ def step_length_figure(run: InchwormRun):
 
 
 def slip_figure(run: InchwormRun):
-    """Return the figure of slip, missed grips, and commanded − achieved length over the number of the step [nm]."""
+    """Return the figure of slip, missed grips, and commanded − achieved length versus the step number [nm]."""
     figure, (slip, lack) = new_figure(4.8, rows=2)
     steps = run.steps
     number = np.arange(1, steps.index.size + 1)
@@ -212,7 +212,7 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
-#: Interactive charts for which the page without scripts has a picture that shows more: name, caption, picture.
+#: Interactive charts that a page without scripts replaces by a more detailed picture: name, caption, picture.
 IN_THE_PLACE = (
     ("travel", "Position over time", travel_figure),
     ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),

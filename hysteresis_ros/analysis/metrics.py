@@ -9,7 +9,7 @@
 
 """Figures of merit of a run in SI units; :func:`compute_metrics` defines each figure.
 
-The configuration in the recording states the reference and the limits with which they are computed
+The configuration in the recording states the reference and the limits with which the figures are computed
 (:class:`AxisSettings`).
 """
 
@@ -51,21 +51,21 @@ class AxisSettings:
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model [m]; the reference does not contain it.
-    #: preview, learned_preview: Number of samples by which the recorded reference is ahead of the one that the axis
-    #: follows; and feedforward.preview of an axis that learns, which follows the reference itself in spite of it.
+    #: preview: Number of samples by which the recorded reference is ahead of the reference that the axis follows.
+    #: learned_preview: feedforward.preview of an axis that learns; such an axis follows the undelayed reference.
     preview: int = 0
     learned_preview: int = 0
 
     @property
     def reference(self) -> str:
-        """The reference against which errors are computed, if it could be another one; else empty."""
+        """The reference against which errors are computed; empty for an axis without preview."""
         if self.learned_preview:
             return "the undelayed reference"
         return f"the reference delayed by {self.preview} samples" if self.preview else ""
 
 
 def reference_delay(preview: int, learning: str) -> int:
-    """Return by how many samples an axis follows its reference late: by its preview, or not at all if it learns.
+    """Return the delay [samples] with which an axis follows its reference: its preview, or 0 if it learns.
 
     ``learning`` is the value of ``learning.type``: learning removes the error against the undelayed reference.
     """
@@ -207,12 +207,12 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
     controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
     With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis learns:
-    then it uses the undelayed reference, and the notes give the RMS error against the delayed one. Samples without
-    reference or displacement do not count. If a scan begins with a jump, errors are evaluated from the reversal
-    on from which the axis follows (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which
-    all samples count. Errors, steps, loops and the residual omit the samples in which the axis is stopped
-    (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
-    the displacement.
+    then every figure uses the undelayed reference, and the notes give the RMS error against the delayed reference.
+    Samples without reference or displacement do not count. If a scan begins with a jump, errors are evaluated from the
+    reversal at which the axis begins to follow its reference (:func:`hysteresis_ros.analysis.parts.scan_start`), except
+    in an excerpt, in which all samples count. Errors, steps, loops and the residual omit the samples in which the axis
+    is stopped (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke
+    is the range of the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -228,18 +228,18 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``steady_state_error_m``                largest abs(reference - value finally reached) of all steps
     ``residual_m``                          displacement at the end (last tenth) of the last hold at zero reference that
                                             follows a motion
-    ``loop_width_percent``                  largest width of the loop displacement over reference, in % of the stroke
-    ``voltage_loop_width_percent``          the same over voltage
-    ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: alternating by ±a
-                                            gives a, a smooth command 0. The ten samples after a jump of the reference
-                                            (its movement per sample changes by a hundredth of the stroke) do not count
+    ``loop_width_percent``                  largest width of the loop displacement versus reference, in % of the stroke
+    ``voltage_loop_width_percent``          the same, displacement versus voltage
+    ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: a if u alternates
+                                            by ±a, 0 if u is smooth. The ten samples after a jump of the reference (its
+                                            movement per sample changes by a hundredth of the stroke) do not count
     ``chattering_m_s``                      (Σ abs(u_k - u_(k-1)) - Σ abs(r_k - r_(k-1))) / duration, at least 0: the
                                             variation of the command that the reference does not explain
     ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (zeros do not count) minus
                                             those of the reference, at least 0
     ``voltage_rate_v_s``                    rms of (V_k - V_(k-1)) / sample time
     ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
-    ``saturated_percent``                   samples whose command the compensator's range or slew rate limits, in %
+    ``saturated_percent``                   samples in which range or slew rate of the compensator limit the command [%]
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
                                             sample minus that of the first
     ``missing_samples``                     samples that are not in the bag, or lack a signal
@@ -251,10 +251,10 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``…p999_s``, ``…max_s``                 and largest
     ``skipped_samples``                     of a fused run: samples that were skipped because their time had passed
     ``disturbed_percent``                   of a fused run: samples from a skipped one until its effect on the error has
-                                            decayed (:func:`hysteresis_ros.analysis.parts.disturbed`), in % of those
-                                            that count for errors
-    ``undisturbed_rms_error_m``,            the same errors without these samples; None if none or all are disturbed
-    ``undisturbed_max_error_m``
+                                            decayed (:func:`hysteresis_ros.analysis.parts.disturbed`), in % of the
+                                            samples that count for errors
+    ``undisturbed_rms_error_m``,            rms and largest error of the other samples; None if no sample or every
+    ``undisturbed_max_error_m``             sample is disturbed
     ``parts``                               list of dicts, the parts of the run in order: ``part`` (approach,
                                             steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, the figures that
                                             apply to it (those of a scan over its whole periods), and for a repeating
@@ -399,7 +399,7 @@ def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dic
 
 
 def _reference_note(recording: Recording, settings: AxisSettings, place, actual: str) -> list[str]:
-    """Return a note about the reference from which errors of the samples ``place`` are computed, if it needs one."""
+    """Return a note about the reference of the errors at the samples ``place``; empty without a preview."""
     if not settings.reference:
         return []
     text = f"errors are computed from {settings.reference}"
@@ -584,12 +584,12 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: Shortest total time of limited output that is reported [s], or its smallest fraction of the run.
+#: Limited output is reported if it lasts longer than this in total [s], or for more than this fraction of the run.
 MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return for how long the output was limited, and why; empty for less than :data:`MOMENT`."""
+    """Return for how long the output was limited, and why; empty up to :data:`MOMENT` and :data:`SHARE`."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0

@@ -49,7 +49,7 @@ def run_cell(run: Recording) -> str:
     rows = [("samples", f"{len(run)}, every {readable(run.sample_time, 's')}")]
     try:
         judged_rows = _rows(report_of(run).figures(run), RUN_ROWS)
-    except HysteresisError:  # the signals are not those that a run of an axis has
+    except HysteresisError:  # the recording lacks the signals of an axis
         judged_rows = []
     rows += judged_rows or [("signals", ", ".join(f"{name} [{unit}]" for name, unit in run.units.items()))]
     return _cell("Run", rows, (), lambda: chart_figure(traces_chart(judged(run))))

@@ -36,7 +36,7 @@ FINAL_PART = 0.1
 LEFT = 0.1
 #: The reference jumps if its movement per sample changes by more than this fraction of the stroke of the reference.
 JUMP = 0.01
-#: The reference of a scan reverses if it then moves back by at least this fraction of its stroke.
+#: An extremum of the reference is a reversal if the reference then moves back by at least this fraction of its stroke.
 REVERSAL = 0.1
 #: Half width of the band of the settling time, as a fraction of the step.
 SETTLING_BAND = 0.02
@@ -89,9 +89,9 @@ def scan_start(reference, displacement) -> int:
     """Return the sample from which errors of a scan count: a reversal if the scan begins with a jump, else 0.
 
     A scan may begin away from the position at which the axis rests; the error until the axis follows says nothing about
-    the tracking of the scan. The axis follows from the first reversal on until whose next one all errors are smaller
-    than the jump. All errors from there on must be smaller than the jump, or than half of the largest error before;
-    otherwise, and if the reference consists of steps from hold to hold, all samples count.
+    the tracking of the scan. The axis begins to follow at the first reversal for which all errors up to the next
+    reversal are smaller than the jump. All later errors must be smaller than the jump, or than half of the largest
+    earlier error; otherwise, and if the reference consists of steps from hold to hold, all samples count.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -110,9 +110,10 @@ def scan_start(reference, displacement) -> int:
 
 
 def step_responses(time, reference, displacement) -> list[StepResponse]:
-    """Return the responses to all steps from one hold of the reference to the next at another level.
+    """Return the responses to all steps between consecutive holds of the reference at different levels.
 
-    A step may be a jump or a limited move; its time counts from the last sample of the hold before the step.
+    A step may be a jump or a limited move; its time counts from the sample of the jump, or from the last held sample
+    before the move.
 
     Units: ``time`` [s], ``reference`` [m], ``displacement`` [m].
     """
@@ -151,7 +152,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
 #: Largest number of reversals in a period.
 REVERSALS = 40
-#: Signals with the modes of nodes in which the axis may be stopped.
+#: Mode signals from which a stop of the axis is detected.
 MODES = ("plant_mode", "compensator_mode", "controller_mode")
 
 
@@ -187,9 +188,9 @@ NOT_JUDGED = {
 
 @dataclass(frozen=True)
 class Part:
-    """Samples ``start`` to ``stop`` (exclusive) of one kind; its whole periods end at the samples ``ends``.
+    """Samples ``start`` to ``stop`` (exclusive) of one kind.
 
-    ``moves`` is the number of moves from hold to hold.
+    ``ends`` are the samples at which whole periods begin and end; ``moves`` is the number of moves from hold to hold.
     """
 
     kind: Kind
@@ -207,9 +208,9 @@ def stopped(recording: Recording) -> np.ndarray:
     """Return whether the axis is stopped at each sample, shape (N,).
 
     A stop is reported by the plant, or by a node between reference and voltage. A node without input also counts as
-    stopped if a stop of the axis follows, or if the run ends in that state. Without these signals, the recorded causes
-    of the stop are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from reference,
-    displacement and voltage.
+    stopped if a stop of the axis follows, or if the run ends in that state. Without these signals, the recorded stop
+    and start requests are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from
+    reference, displacement and voltage.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -236,9 +237,10 @@ def stop_is_recorded(recording: Recording) -> bool:
 
 
 def _left_its_hold(recording: Recording) -> np.ndarray:
-    """Return the samples after a settled hold in which, at a constant reference, the axis moves to a constant voltage.
+    """Return the samples in which the axis leaves a settled hold for a constant voltage, at a constant reference.
 
-    A closed loop does not do this, and an open loop keeps its voltage; at the end of a run it is therefore a shutdown.
+    A closed loop does not leave the hold, and an open loop keeps its voltage, so such a motion at the end is a
+    shutdown.
     """
     found = np.zeros(len(recording), dtype=bool)
     if len(recording) < 2 or not all(map(recording.has, ("reference", "voltage", "displacement"))):
@@ -367,7 +369,7 @@ def _with_hold(reference, start: int) -> int:
 
 
 def _repeating(reference, first: int, last: int) -> Part | None:
-    """Return the longest interval between two samples in which the reference equals itself one period later."""
+    """Return the longest interval from ``first`` to ``last`` in which the reference equals itself one period later."""
     points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
     size = EQUAL * float(np.ptp(reference[first:last]))
     # the first reversal may belong to the approach, the last reversals to the return to rest
@@ -455,8 +457,8 @@ def _joined(parts: list[Part]) -> list[Part]:
 def part_figures(part: Part, time, reference, displacement, stroke: float, against: str = "") -> dict:
     """Return the figures of merit of a part, the number of its steps, and the number of its whole periods.
 
-    The figures of a scan are computed over its whole periods, if it has any. ``against`` names the reference of its
-    errors, if it could be another one.
+    The figures of a scan are computed over its whole periods, if it has any. ``against`` names the reference of the
+    errors; it is empty without a preview.
     """
     found: dict = dict.fromkeys(JUDGED_BY[part.kind])
     inside = slice(part.start, part.stop)
@@ -492,20 +494,20 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: Relative excess of the median square error over that of undisturbed samples, above which a span counts as disturbed;
-#: smallest fraction of samples that must remain for the comparison; and shortest span, because a voltage acts only
-#: after the delay of the axis.
+#: Relative excess of the median square error over the median of undisturbed samples, above which a span counts as
+#: disturbed; smallest fraction of samples that must remain for the comparison; and shortest span, because a voltage
+#: acts only after the delay of the axis.
 EXCESS, COMPARED, SHORTEST_SPAN = 0.1, 0.1, 4
 
 
 def disturbed(skipped, error) -> np.ndarray:
-    """Return which samples are disturbed: skipped samples, and those after them until their effect has decayed.
+    """Return which samples are disturbed: skipped samples, and the following samples until the effect has decayed.
 
     ``skipped`` and ``error``, shape (N,), are a flag for each sample and its error [m]. The error is NaN if it does not
     count, for example without a measurement. All spans after skipped samples have the same length n: the shortest of 4,
-    8, 16, … samples after which the error has decayed. It has decayed if, in the n samples after the spans, its median
-    square is at most that of samples farther away plus :data:`EXCESS`. A median, because the mean of a run is often
-    determined by its start, which is far away from the skipped samples.
+    8, 16, … samples after which the error has decayed. It has decayed if its median square in the n samples after the
+    spans exceeds the median square of all later samples by at most the fraction :data:`EXCESS`. The median is used
+    because the start of a run, far away from the skipped samples, often determines the mean.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)

@@ -24,7 +24,7 @@ import numpy as np
 from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
-#: Largest number of points of a drawn line; of longer signals, minimum and maximum of each interval are drawn.
+#: Largest number of points of a drawn line; for longer signals, minimum and maximum of each interval are drawn.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
@@ -235,6 +235,6 @@ def chart_figure(chart: Chart):
         axis.set_ylim(*chart.limits)
     axis.set(xlabel=chart.across, ylabel=chart.up)
     if len(chart.lines) > 1 or chart.shaded is not None or chart.marked is not None or chart.level_label:
-        # labels of paths are long, so there is one column
+        # labels of paths are long, so the legend has one column
         add_legend(axis, 1 if chart.kind == "path" else 4)
     return figure

@@ -29,14 +29,14 @@ from hysteresis_ros.identification.frequency_response import PROBABILITY, Analys
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
-#: Half width of the region around −1 shown in the Nyquist plot.
+#: Largest absolute value of the real and the imaginary part in the Nyquist plot.
 NYQUIST = 2.5
 
 #: Colours of the responses of a stage, except that of the measurement.
 _FITTED, _NOISE, _DISTORTION = "#d1495b", "#9a9a9a", "#e09f3e"
 _MICRO = 1e6
-#: Largest number of columns of a figure of responses; for a stage with more axes it shows only the response of each
-#: axis to its own actuator.
+#: Largest number of columns of a figure of responses; for a stage with more axes, the figure shows only the response of
+#: each axis to its own actuator.
 MOST_COLUMNS = 4
 #: Height of the plots of one output [inch].
 HEIGHT = 5.6
@@ -169,7 +169,7 @@ def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw L around −1 with the uncertainty circles at the lines, the unit circle and the M_s circle."""
+    """Draw L with the uncertainty circles at the lines, the point −1, the unit circle and the M_s circle."""
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     bound = REQUIRED.sensitivity_peak
     axis.plot(turn.real, turn.imag, color="#bbbbbb", linewidth=0.8)

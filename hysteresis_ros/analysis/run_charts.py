@@ -175,9 +175,10 @@ def error_chart(run: Judged) -> Chart | None:
 
 
 def loops_chart(run: Judged) -> Chart | None:
-    """Return the chart of the loops: displacement over voltage and, after compensation, over reference [µm, %].
+    """Return the chart of the loops: displacement versus voltage and, after compensation, versus reference [µm, %].
 
-    A voltage without reversals has no loop and is not drawn; None if neither voltage nor reference reverses.
+    A voltage without reversals has no loop and is not drawn; None if the reference (without one, the voltage) has no
+    reversals.
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
     inputs = [("before compensation, over the voltage", "voltage", voltage, "V", 1.0)]
@@ -216,7 +217,7 @@ def voltage_chart(run: Judged) -> Chart | None:
 
 
 def adaptation_chart(run: Judged) -> Chart | None:
-    """Return the chart of the gain of an adapted inverse over time; None if nothing was adapted."""
+    """Return the chart of the gain of an adapted inverse over time; None without adaptation."""
     recording = run.recording
     if not recording.has("adaptation") or not np.any(np.nan_to_num(recording["adaptation"])):
         return None
@@ -269,8 +270,8 @@ def _finite(values) -> np.ndarray:
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
 #: Smallest number of samples for which a spectrum is computed.
 LEAST_SAMPLES = 64
-#: Largest number of points of a spectrum. If it has more lines, only the largest in each of this many frequency
-#: intervals (at most) is drawn.
+#: Largest number of points of a spectrum. If the spectrum has more lines, at most this many frequency intervals are
+#: formed, and only the largest line of each is drawn.
 SPECTRUM_POINTS = 1500
 #: Number of bars of a histogram.
 BARS = 60

@@ -116,7 +116,7 @@ class PlaneRun(InPlane):
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
     """Return the run of the first two axes of a recording in their plane; None if they do not form a plane.
 
-    The run begins when the later of the two axes begins its scan, like the figures of a stage.
+    The run begins when the later of the two axes begins its scan, as in the figures of a stage.
     """
     if len(axes) < 2:
         return None
@@ -228,7 +228,7 @@ class ErrorMap:
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return the time on the path [s] from which a run counts: after one of several periods, or after a line.
+    """Return the time on the path [s] from which a run counts: after the first of several periods, or the first line.
 
     ``time``: times on the path of all samples [s].
     """
@@ -267,7 +267,7 @@ def profile(run: ScanRun) -> Profile:
 
 
 def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
-    """Return the map of the error in the plane; the default bins are wide enough that none between lines is empty."""
+    """Return the map of the error in the plane; the default bins are so wide that no bin between lines is empty."""
     on = run.counted
     places, errors = run.reference[:2, on], run.error[:2, on]
     low, high = places.min(axis=1), places.max(axis=1)
@@ -341,7 +341,7 @@ def _begins(run: ScanRun) -> np.ndarray:
 
 
 def path_figure(run: InPlane):
-    """Return the figure of the path in the plane over the reference, coloured by the size of the error."""
+    """Return the figure of reference and path in the plane; the size of the error gives the colour of the path."""
     figure, (axis,) = new_figure(6.4)
     from matplotlib.collections import LineCollection
 
@@ -439,7 +439,7 @@ def trace_figure(run: ScanRun):
 
 
 def scan_picture(scan: Scan):
-    """Return the figure of a scan without a run: the path of one period, and velocities over a few middle lines."""
+    """Return the figure of a scan without a run: the path of one period, and the velocities in a few middle lines."""
     figure, (left, right) = new_figure(4.4, 2)
     time = np.linspace(0.0, scan.period, PATH_POINTS)
     x, y = scan.position(time)[:2] * _MICRO

@@ -151,7 +151,7 @@ def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
 
 
 def _alike(line: Line, other: Line) -> bool:
-    """Return whether two lines agree within a thousandth of their range over the length that both have."""
+    """Return whether two lines agree within a thousandth of their range in their common interval of x."""
     last = min(line.x[-1], other.x[-1])
     there = line.x <= last
     apart = np.abs(np.interp(line.x[there], other.x, other.y) - line.y[there])
@@ -159,7 +159,7 @@ def _alike(line: Line, other: Line) -> bool:
 
 
 def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
-    """Return headings and texts: configuration of the first run, and how those of the other runs differ."""
+    """Return headings and texts: configuration of the first run, and the differences in the other configurations."""
     (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
     texts = [(f"Configuration of {first}", base)] if base else []
     for name, text in others:
@@ -352,7 +352,7 @@ def report_several(
 ) -> tuple[dict[str, dict], str]:
     """Compare runs and write a page; return the figures of each run, and lines for a terminal.
 
-    If the runs are two axes of a stage, ``plane`` contains both; the page then shows pictures of it.
+    If the runs are two axes of a stage, ``plane`` contains both axes; the page then shows pictures of the plane.
     """
     if not runs:
         raise RecordingError("no run to report: give at least one")
