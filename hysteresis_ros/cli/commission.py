@@ -19,7 +19,7 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Questions that a terminal asks for missing arguments: the option, the question, and an example.
+#: Questions about missing arguments, on a terminal: the option, the question, and an example.
 QUESTIONS = {
     "stroke": ("--stroke", "How far does the actuator move over its voltage range?", "100um"),
     "voltage": ("--voltage", "Which range of voltage may be applied?", "0:100V"),
@@ -104,7 +104,7 @@ def new(file, axes, driver, options, plant, joint, **given):
 
 
 def _for_each(names: list[str], option: str, text: str) -> list[str]:
-    """Return the text of an option for each axis; it has one text for all, or one for each, separated by commas."""
+    """Return the text of an option for each axis; the user gives one text for all axes, or comma-separated texts."""
     from hysteresis_ros.errors import ConfigurationError
 
     texts = text.split(",") if len(names) > 1 else [text]
@@ -155,9 +155,9 @@ SILENCE = 5.0
 def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
     """Measure, model and control the axis, or the coupled axes, of FILE.
 
-    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn; of
-    coupled axes noise, gain, resonance, multisine, hysteresis, identify, design, loop, scan and judge. Before each
-    movement it prints what will move and how far, and asks for confirmation. When a result is implausible it stops
+    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn; for
+    coupled axes they are noise, gain, resonance, multisine, hysteresis, identify, design, loop, scan and judge. Before
+    each movement it prints what will move and how far, and asks for confirmation. When a result is implausible it stops
     with safe outputs (exit code 2). It writes commissioned.yaml, all recordings and report.html to DIR, by default
     FILE_commissioning. Exit code 4: the error of the scan is much larger than predicted.
     """

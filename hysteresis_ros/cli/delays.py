@@ -66,7 +66,7 @@ def _late(found: Lateness) -> str:
 
 
 def cores_of(text: str) -> list[int]:
-    """Return the cores of a list of the kernel, such as ``0,2-3``."""
+    """Return the cores in a core list of the kernel, such as ``0,2-3``."""
     found: list[int] = []
     for part in filter(None, text.split(",")):
         first, _, last = part.partition("-")
@@ -214,7 +214,7 @@ def _throttling(run: Run) -> Delay:
     state = f"{runtime} of {period} µs"
     try:
         whole = run(whole=True)
-    except ParameterError:  # a running axis already takes the only core to spare
+    except ParameterError:  # a running axis already uses the only spare core
         return Delay("real-time throttling", state, f"{NOT_MEASURED}: another loop polls the clock", change)
     cost = (
         f"a loop that never sleeps was interrupted for {1e3 * whole.max:.1f} ms at most, "

@@ -93,7 +93,7 @@ def _axes(factor: float) -> dict:
     from hysteresis_ros.models.block import COMPILED
 
     configuration = load_configuration(config_path("kim2009"))
-    # without compiled kernels no loop is fast enough for real time, so the nodes run in lockstep, as fast as they can
+    # without compiled kernels no loop is fast enough for real time, so the nodes run in lockstep, as fast as possible
     configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
     # the machine may be busy: skipped samples are counted and reported, but do not stop a simulated axis
     configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
@@ -140,7 +140,7 @@ def _compile(axes, progress: Progress) -> None:
 
 
 def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
-    """Run all axes in parallel; one of them follows setpoints, and ends after the last."""
+    """Run all axes in parallel; one axis follows setpoints, and its run ends after the last setpoint."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph, node_environment
 
@@ -281,7 +281,7 @@ def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], prog
 
 
 def opening_of_stroke(run) -> float:
-    """Return the width of the loop of displacement over reference, as a fraction of the stroke of the reference."""
+    """Return the width of the loop of displacement versus reference, as a fraction of the stroke of the reference."""
     from hysteresis_ros.recordings.loops import loop_opening
 
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
@@ -289,7 +289,7 @@ def opening_of_stroke(run) -> float:
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return the results as sentences: first those of the method (offline), then those of the runs on this machine."""
+    """Return the results as sentences: first the offline results, then the results of the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
         f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, {inverse} with it "
@@ -307,7 +307,7 @@ def message(here, alone, skipped, live: bool) -> list[str]:
 
 
 def inverse_figure(without, with_inverse, *here):
-    """Return the figures of displacement over reference and of error over reference, for all runs [µm].
+    """Return the figure of displacement and error versus reference, for all runs [µm].
 
     The first branch is omitted, because it starts at rest and belongs to no loop.
     """

@@ -107,9 +107,8 @@ def design(config, namespace, output, response, runs, scan, values, **options):
     --learning it designs learning for the period of the scan of the stage, starting with the corrections for which the
     coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
     --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan raster width=20um
-    depth=20um -o learns.yaml`; the written file follows it. With --controller, the slow axis of a raster gets a slow
-    controller.
-    Without --controller, --feedforward and --learning it only prints.
+    depth=20um -o learns.yaml`; the written file then contains this scan. With --controller, the slow axis of a raster
+    gets a slow controller. Without --controller, --feedforward and --learning it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (
@@ -282,7 +281,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
 
 
 def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
-    """Return the configuration with the scan in its file, for which controllers or learning are designed."""
+    """Return the configuration whose file contains the scan for which controllers or learning are designed."""
     from hysteresis_ros.designs.coupled import with_written_scan
     from hysteresis_ros.designs.coupled_learning import FEWEST
     from hysteresis_ros.errors import ConfigurationError

@@ -43,7 +43,7 @@ LIBRARIES = {
     "jinja2": "report",
     "rich": "progress",
 }
-#: Modules of those libraries that a ROS 2 installation from apt provides too.
+#: Libraries that a ROS 2 installation from apt also provides: library → module.
 MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}
 #: Priority that a fused loop requests by default.
 PRIORITY = 80

@@ -48,7 +48,7 @@ def main() -> None:
 
         command(prog_name="hysteresis")
     except (KeyboardInterrupt, Exception) as error:
-        # after an interrupt that was lost in one of its callbacks, the compiler fails with another error
+        # if an interrupt was lost in a callback of the compiler, the compiler fails with another error
         if not dropped and not isinstance(error, KeyboardInterrupt):
             raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -20,7 +20,7 @@ from hysteresis_ros.cli.progress import Progress
 
 #: Suffixes of recordings; a folder is a bag.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
-#: Options with units: the unit, and the name of the option as an argument of the experiment.
+#: Options with units, which are also arguments of the experiment: option → unit.
 WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 
 
@@ -174,7 +174,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
 
 def _of_stage_whole(path: pathlib.Path, namespace) -> bool:
-    """Return whether the response matrix of a stage is wanted; refuse a single axis if other axes move it too."""
+    """Return whether the response matrix of a stage is wanted; refuse a single axis if other axes are excited too."""
     import numpy as np
 
     from hysteresis_ros.errors import ConfigurationError, RecordingError

@@ -142,8 +142,9 @@ def identify(
     (samples, columns) or (realisations, samples, columns), whose columns are named 1, 2 …
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
-    point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
-    would allow; a message states the crossover that it allows, and designs stay below that. 2: wrong input.
+    point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that the
+    model would allow; a message states the crossover frequency that the recording allows, and designs stay below this
+    frequency. 2: wrong input.
     """
     from hysteresis_ros.identification.frequency_response import holds_response
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Handling of Ctrl-C by a command; imports nothing, so that it is available from the start."""
+"""Handling of Ctrl-C by a command; imports only the standard library, so that it is available from the start."""
 
 from __future__ import annotations
 
@@ -22,6 +22,6 @@ WORDS = "hysteresis: interrupted"
 
 
 def leave_interrupted() -> NoReturn:
-    """Print a line that Ctrl-C has ended the command, and exit with the code of Ctrl-C."""
+    """Print that Ctrl-C has ended the command, and exit with the code of Ctrl-C."""
     print(WORDS, file=sys.stderr)
     raise SystemExit(INTERRUPTED)

@@ -24,7 +24,7 @@ from hysteresis_ros.cli.progress import Progress
 
 
 class ConfigurationName(click.ParamType):
-    """A parameter file: a path, or the name of one that comes with the package."""
+    """A parameter file: a path, or the name of a file that comes with the package."""
 
     name = "config"
 
@@ -333,7 +333,7 @@ class AskedReference:
     """Options of the waveform; ``kind`` is None if the user chose no waveform."""
 
     kind: str | None  #: Name of the waveform.
-    given: dict[str, str]  #: Text of each of its parameters.
+    given: dict[str, str]  #: Text of each parameter of the waveform.
 
     def values(self, gain: float | None = None) -> dict:
         """Return the parameters of the waveform, see :func:`~hysteresis_ros.references.recipes.asked_waveform`.
@@ -455,7 +455,7 @@ def scan_options(command):
 
 
 def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
-    """Refuse values of a scan if no scan was chosen; ``remedy`` is for parameters of nodes, a frequent mistake."""
+    """Refuse values of a scan if no scan was chosen; ``remedy`` helps users who meant parameters of nodes."""
     if values and "=" in values[0]:
         raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster{remedy}")
     if values:
@@ -487,7 +487,7 @@ def triggering(configuration, triggers: tuple[str, ...], namespace: str | None =
     """Return a configuration with the triggers that the texts describe.
 
     In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all axes do. With triggers
-    by ``each``, only axes that follow the scan trigger, and the clock of the scan then has the level of ``each``.
+    by ``each``, only axes that follow the scan trigger, and the clock of the scan has at least the level of ``each``.
     """
     from hysteresis_ros.references.scans import parsed_values
     from hysteresis_ros.references.triggers import TriggerParameters
@@ -506,7 +506,7 @@ def triggering(configuration, triggers: tuple[str, ...], namespace: str | None =
 
 
 def _by_scan(configuration, values: dict, each: str, only: str):
-    """Return the configuration of a stage whose scanning axes, or the one in ``only``, trigger by their scan."""
+    """Return the configuration of a stage whose scanning axes, or the axis in ``only``, trigger by the scan."""
     from dataclasses import replace
 
     from hysteresis_ros.configuration import STAGE
@@ -515,7 +515,7 @@ def _by_scan(configuration, values: dict, each: str, only: str):
     from hysteresis_ros.signals import SOURCE
 
     stage = StageParameters.from_configuration(configuration)
-    # without a scan every axis is refused, with the remedy
+    # without a scan, these triggers are refused later for every axis, with the remedy
     for axis in [only] if only else [f"{name}/" for name in stage.scanning_axes] or [""]:
         configuration = configuration.override(f"{axis}{SOURCE}", **values)
     if each not in LEVELS or LEVELS.index(stage.stage.scan.clock) >= LEVELS.index(each):

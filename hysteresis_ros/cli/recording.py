@@ -186,7 +186,7 @@ def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
     missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
     parts = [f"{missing} samples"] * bool(missing) + [f"{lacking} entries of the change log"] * bool(lacking)
     if parts:
-        # samples after a gap are at wrong places, so differences from the twin would not be differences of the loop
+        # samples after a gap have wrong indices, so differences from the twin would not be differences of the loop
         return f"{name} lacks {' and '.join(parts)}, so it cannot be compared with the offline twin"
     if not found:
         return ""

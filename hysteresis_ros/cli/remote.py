@@ -182,11 +182,11 @@ def move(value, tolerance, dwell, namespace, timeout):
 @click.option("--tolerance", help="Largest drift by creep, e.g. 5nm; by default any.")
 @steered()
 def quiet(duration, tolerance, namespace, timeout):
-    """Let the command of an axis stand still for DURATION, e.g. 2s or 500ms; 0s ends a quiet hold.
+    """Hold the command of an axis constant for DURATION, e.g. 2s or 500ms; 0s ends a quiet hold.
 
-    No noise of the sensor reaches the actuator, and its creep is compensated by the model. Exit code 2: the quiet hold
-    is refused, because creep would leave the tolerance or the axis does not run. Exit code 1: the axis is not found or
-    does not answer.
+    The noise of the sensor does not reach the actuator, and the model compensates the creep of the actuator. Exit code
+    2: the quiet hold is refused, because creep would leave the tolerance or the axis does not run. Exit code 1: the
+    axis is not found or does not answer.
     """
     within = None if tolerance is None else _quantity("--tolerance", tolerance, "m")
     in_graph("quiet", namespace, timeout, duration=_quantity("duration", duration, "s"), tolerance=within)

@@ -124,7 +124,7 @@ def held_back(recording: Recording, effect: str = "increases the error during mo
     if recording.axes:
         recording = recording.axis(recording.axes[0])
     count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
-    if recording.has("skipped"):  # a completed recording has no "late"
+    if recording.has("skipped"):  # a recording with interpolated samples has no "late"
         count = max(count, int(np.count_nonzero(recording["skipped"] > 0.5)))
     if not count:
         return []

@@ -267,7 +267,7 @@ def preload_offset(configuration: Configuration, namespace: str) -> float:
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
-#: Excitation: lines at multiples of 4 Hz; five realisations of three periods each, the first of which is for settling.
+#: Excitation: odd harmonics of 2 Hz; five realisations of three periods each, the first of which is for settling.
 EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
 #: Largest M_s, relative to the predicted M_s.
 MARGIN_AS_PREDICTED = 1.25
@@ -310,7 +310,7 @@ def measured_plant(situation: Situation) -> MeasuredPlant | None:
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # all elements of the loops other than the plant are the same, and cancel in the ratio
+    # both loops differ only in the plant, so all other elements cancel in the ratio
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
@@ -364,7 +364,7 @@ def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
 
 
 def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[str, np.ndarray]:
-    """Return the samples that learning omits, by reason; a sample with several reasons is under the first of them.
+    """Return the samples that learning omits, by reason; a sample with several reasons counts under the first reason.
 
     Units: ``rate`` [Hz].
     """
@@ -560,6 +560,6 @@ def _period_errors(situation: Situation, recording: Recording) -> np.ndarray:
 
 
 def _by_period(situation: Situation, values: np.ndarray, unjudged: int) -> np.ndarray:
-    """Return the values of the unjudged periods of a scan and of the evaluated ones, shape (periods, samples)."""
+    """Return the values of a scan in the periods for settling and the evaluated periods, shape (periods, samples)."""
     begin, period = scan_begin(situation), scan_period(situation)
     return values[begin : begin + (unjudged + JUDGED_PERIODS) * period].reshape(-1, period)

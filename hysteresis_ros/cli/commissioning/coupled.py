@@ -84,7 +84,7 @@ class StageSituation:
     controller: str
     #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
-    #: Outcomes of earlier stages; figures of the axes are by their names.
+    #: Outcomes of earlier stages; the figures of each axis are under its name.
     found: dict[str, Outcome] = field(default_factory=dict)
 
     @property
@@ -117,7 +117,7 @@ class StageSituation:
         )  # the checks of a single axis need no more
 
     def within(self) -> Configuration:
-        """Return the configuration in the ranges of the plans, holding the middle of the motion that they allow.
+        """Return the configuration with the ranges of the plans; each axis holds the middle of its allowed motion.
 
         If an axis leaves its range of motion by half a stroke, all axes are stopped.
         """
@@ -144,7 +144,7 @@ class StageSituation:
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 
     def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
-        """Return the stage that outputs voltages [V], shape (N, n), in open loop; its limits just contain them."""
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just beyond them."""
         ranges = []
         for name, volts in zip(self.names, voltages.T, strict=True):
             plan = self.plans[name]

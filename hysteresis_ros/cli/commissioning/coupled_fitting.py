@@ -40,7 +40,7 @@ from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
 #: Largest error of the model on the held-out data, apart from an error of its gain, as a fraction of the motion;
-#: largest factor between both gains with which a design keeps its margins.
+#: largest factor between the gains of model and data with which a design keeps its margins.
 UNFIT, STEEPEST = 0.2, 2.0
 #: Largest error of the hysteresis model on the recorded loops, as a fraction of the stroke.
 LOOSE = 0.05

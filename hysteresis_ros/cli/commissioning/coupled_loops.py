@@ -75,7 +75,7 @@ class Range:
 
     low: float
     high: float
-    rest: float  #: Reference at the safe voltages, which may be outside the range.
+    rest: float  #: Reference at the safe voltages; it may be outside the range.
 
     @property
     def far(self) -> float:
@@ -84,7 +84,7 @@ class Range:
 
 
 def designed(situation: StageSituation) -> Configuration:
-    """Return the identified stage with its controllers, which predicts each run."""
+    """Return the identified stage with its controllers; this stage predicts each run."""
     situation.figures("design")
     return load_configuration(situation.folder.path / DESIGNED)
 

@@ -9,8 +9,8 @@
 
 """The stages of coupled axes in open loop: one axis after the other, then all together.
 
-Voltages and checks of each axis are those of a single axis. In addition, the readings of the other axes' sensors are
-checked.
+Voltages and checks of each axis are the same as for a single axis. In addition, the readings of the other axes' sensors
+are checked.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ NOISY = 0.5
 
 
 def noise_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage at rest, with the whole range of the plans: a device with a narrower one is refused at once."""
+    """Return the stage at rest with the whole range of the plans, so that a device with a narrower range is refused."""
     stage = situation.driven("noise", situation.resting(max(plan.noise_duration for plan in situation.plans.values())))
     axes = []
     for axis, plan in zip(stage.axes, situation.plans.values(), strict=True):
@@ -72,7 +72,7 @@ def gain_stage(situation: StageSituation) -> StageParameters:
 
 
 def static_gains(situation: StageSituation, recording: Recording) -> np.ndarray:
-    """Return how far each step moved each sensor, shape (n, n) [m/V]; each actuator has a column."""
+    """Return how far each step moved each sensor per volt, shape (n, n) [m/V]; each actuator has a column."""
     spans = situation.in_turn(volts.small_step)[1]
     count = round(volts.STEP_HOLD * situation.rate)
     second = count + round(volts.STEP_WAY * situation.rate)
@@ -93,7 +93,7 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
         other = names[int(np.argmax(np.abs(gain[:, j])))]
         step = abs(volts.step_size(situation.plans[name], situation.safe[j]))
         most = float(np.abs(gain[:, j]).max()) * step
-        # as far as the sensor of the actuator should have moved; a smaller motion is cross-talk
+        # compared with the motion of the actuator's own sensor; a smaller motion of another sensor is cross-talk
         if most > max(MISTAKEN * abs(gain[j, j]), situation.plans[name].gain / EXPECTED) * step and other != name:
             raise CommissioningError(
                 f"{step:.3g} V at the actuator of {name} move the sensor of {other} by {readable(most, 'm')} and its "
@@ -157,7 +157,7 @@ def predicted_swings(situation: StageSituation, amplitude: float) -> dict[str, f
 
 
 def identification_excitation(situation: StageSituation) -> StageExcitation:
-    """Return the excitation of the identification, smaller where the small multisine shows that it moves too much."""
+    """Return the excitation of the identification, reduced if the small multisines predict too large a motion."""
     whole = predicted_swings(situation, 1.0)
     level = min(1.0, *(SWING * situation.plans[name].stroke / swing for name, swing in whole.items()))
     return StageExcitation(amplitude=float(f"{level:.3g}"), rests=situation.safe)

@@ -85,7 +85,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage and write the model; it is chosen by held-out blocks unless the user has named a model."""
+    """Identify the stage and write the model, which is chosen by held-out blocks unless the user has named one."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"

@@ -26,12 +26,13 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
 #: Duration of a small step, and of the holds before and after it [s]; duration of the creep step [s], and hold after
-#: its return, as a fraction of this duration.
+#: the step back, as a fraction of ``creep_duration``.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Number of periods of the multisine, and their length [s]; the first period is for settling.
 PERIODS, PERIOD = 5, 2.0
-#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which this decays to 1/e.
+#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which the amplitude decays
+#: to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
 #: Level of the creep step, as a fraction of the range.
 CREEP_PART = 0.8
@@ -91,14 +92,15 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
 NOISY, FAR_AWAY = 0.02, 20.0
 #: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest factor between measured and expected gain, and largest movement after a small step, as a fraction of it.
+#: Largest factor between measured and expected gain, and largest movement after a small step, as a fraction of the
+#: step.
 EXPECTED, RINGING = 3.0, 0.25
 #: Uncertainty of the fit of a resonance, as a fraction of the power of its lines, at which no more lines are averaged.
 CERTAIN = 0.02
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
-#: Smallest number of the lowest frequencies of a response from which delay and gain are determined; the gain is that of
-#: the lines up to this fraction of the frequency of the resonance.
+#: Delay and gain are determined from at least this number of the lowest frequencies of a response; the gain from the
+#: lines up to this fraction of the resonance frequency.
 LOW_LINES, FAR_BELOW = 20, 0.1
 #: Largest fraction of the samples within the noise around the extreme reading; with more, the sensor counts as clipped.
 CLIPPED = 0.03
@@ -145,7 +147,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_gain(situation: Situation, recording: Recording) -> Outcome:
-    """Check the response to a small step: whether there is one, its sign and size, and whether it settles."""
+    """Check the response to a small step: whether the axis moves, its gain with the sign, and whether it settles."""
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
     step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)
@@ -226,7 +228,7 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
             "the sensor"
         )
     peak = int(np.argmax(size))
-    # far below a resonance, but not of a few lowest lines only: drift and creep add to these
+    # far below a resonance, but from more than a few of the lowest lines, because drift and creep add to these lines
     gain = float(np.median(size[: max(np.searchsorted(found.frequency, FAR_BELOW * found.frequency[peak]), LOW_LINES)]))
     figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
     lines = [
@@ -251,8 +253,9 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
 def _resonance(found: FrequencyResponse) -> tuple[float, float]:
     """Return frequency [Hz] and damping ratio of the highest peak.
 
-    The lines of a stage with hysteresis scatter by far more than its noise, and a single line may be higher than the
-    peak. As many neighbouring lines are averaged to find the half-power band as the fit in it needs to be certain.
+    The lines of a stage with hysteresis scatter by far more than the noise, and a single line may be higher than the
+    peak. Neighbouring lines are averaged to find the half-power band; their number doubles until the fit in this band
+    is certain.
     """
     power, square, width = np.abs(found.single) ** 2, (2.0 * np.pi * found.frequency) ** 2, 1
     frequency, damping, uncertainty = float(found.frequency[np.argmax(power)]), 0.0, np.inf
@@ -260,17 +263,17 @@ def _resonance(found: FrequencyResponse) -> tuple[float, float]:
         kernel = np.ones(width)
         mean = np.convolve(power, kernel, "same") / np.convolve(np.ones(power.size), kernel, "same")
         peak = int(np.argmax(mean))
-        # the half-power band of the peak: the curvature of a few lines at its flat top would be that of their noise
+        # the fit uses the half-power band, because noise determines the curvature of a few lines at the flat top
         low, high = np.flatnonzero(mean[:peak] < 0.5 * mean[peak]), np.flatnonzero(mean[peak:] < 0.5 * mean[peak])
         first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else power.size)
         near = slice(max(min(first, peak - 3), 0), max(last + 1, peak + 4))
-        # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²; its values are as uncertain as they are large
+        # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola in ω²; the uncertainty of a value is proportional to it
         curve = np.polyfit(square[near], 1.0 / power[near], 2, w=power[near])
         centre = -0.5 * curve[1] / curve[0]
         least = np.polyval(curve, centre) / curve[0]
         if centre > 0.0 and least > 0.0:
             scatter = 1.0 - np.polyval(curve, square[near]) * power[near]
-            # the RMS of the lines over the root of their number
+            # the RMS of the scatter, divided by the square root of the number of lines
             if np.linalg.norm(scatter) / scatter.size < uncertainty:
                 uncertainty = np.linalg.norm(scatter) / scatter.size
                 frequency, damping = float(np.sqrt(centre) / (2.0 * np.pi)), float(0.5 * np.sqrt(least) / centre)

@@ -126,7 +126,7 @@ def parsed(option: str, text: str, unit: str) -> float:
 
 
 def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
-    """Return both ends of a range in SI, ``0:100V``, ``-30..120 V`` or ``100V`` (from 0)."""
+    """Return both ends, in SI, of a range such as ``0:100V``, ``-30..120 V`` or ``100V`` (from 0)."""
     for mark in ("...", "…", "..", ":"):
         if mark in text:
             low, _, high = text.partition(mark)

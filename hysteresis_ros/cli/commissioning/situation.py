@@ -9,8 +9,8 @@
 
 """Data that the stages of a commissioning share: the axis, the plan of allowed movements, earlier outcomes.
 
-The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences and
-pictures for a page) is stored as JSON in the folder of the commissioning, with the recordings.
+The plan is the section ``/commissioning`` of a parameter file; no node reads this section. An outcome (figures,
+sentences and pictures for a page) is stored as JSON in the folder of the commissioning, with the recordings.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Plan(Parameters):
 
     @property
     def amplifier(self) -> float:
-        """Slew rate of the amplifier [V/s]: as given, or from its current and the capacitance; 0: not known."""
+        """Slew rate of the amplifier [V/s]: the smaller of ``slew_rate`` and current / capacitance; 0: not known."""
         charging = self.current / self.capacitance if self.capacitance > 0.0 else 0.0
         return min((rate for rate in (self.slew_rate, charging) if rate > 0.0), default=0.0)
 
@@ -248,7 +248,8 @@ class Folder:
 
 #: Fraction of the stroke by which sensor readings may exceed the displacements that are expected in a stage.
 OVERTRAVEL = 0.5
-#: Half width of the voltage limits in a stage without movement, as a fraction of the range; 0 would give no range.
+#: Half width of the voltage limits in a stage without movement, as a fraction of the range; with 0, the range would be
+#: empty.
 NOTHING = 1e-4
 
 
@@ -262,7 +263,7 @@ class Situation:
     folder: Folder
     model: str = "auto"  #: model, controller: Model to identify and controller to design, or ``auto``.
     controller: str = "auto"
-    #: Other models of the axis with which a controller must work too; by default those with almost the same error.
+    #: Other models of the axis with which a controller must work too; by default the models with almost the same error.
     against: tuple[str, ...] | None = None
     #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
@@ -311,7 +312,7 @@ class Situation:
 
     def _watched(self) -> dict:
         """Return parameters that make the travel monitor of a device valid, whatever model the file contains."""
-        # plausible measurements follow from the expected gain
+        # the range of plausible measurements follows from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
         if "noise" in self.found:  # before the stage "noise" is done, the zero of the sensor is unknown
