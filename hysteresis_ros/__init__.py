@@ -15,7 +15,7 @@ simulation and the ROS 2 nodes call. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
 ``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing`,
-:mod:`hysteresis_ros.exchange` and :mod:`hysteresis_ros.laboratory.studies`. Each is imported at its first use.
+:mod:`hysteresis_ros.exchange` and :mod:`hysteresis_ros.laboratory.studies`. Each name is imported at its first use.
 """
 
 from __future__ import annotations

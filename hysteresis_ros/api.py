@@ -284,7 +284,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         Parameters
         ----------
         voltage : array_like, shape (N,), or Recording
-            Voltage [V]; a recording gives its signal ``voltage`` and its sample time.
+            Voltage [V]; of a recording, the signal ``voltage`` and the sample time are used.
         sample_time : float, optional
             Sample time of the voltage [s]; by default the sample time of the model.
         intersample : str, optional
@@ -547,7 +547,7 @@ Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData |
 
 
 def configurations() -> tuple[str, ...]:
-    """Return the names of the configurations that come with the package; :func:`load` and :func:`simulate` take them.
+    """Return the names of the configurations in the package; :func:`load` and :func:`simulate` accept these names.
 
     Returns
     -------

@@ -310,8 +310,8 @@ class Parameters:
     def _valid(self):
         """Return self, marked as free of problems.
 
-        The object is immutable, so the mark remains valid; it makes parameter changes at run time fast. Groups that
-        are not in use have not been checked.
+        The object is immutable, so the mark remains valid; the mark makes parameter changes at run time fast. Groups
+        that are not in use have not been checked.
         """
         for item in fields(self):
             chooser = item.metadata.get("variant_of")

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = ["from_control", "to_control", "to_scipy", "with_dynamics"]
 
-#: Parameter group of the linear dynamics of each node: those of the plant, or those of the controller's model.
+#: Parameter group of the linear dynamics of each node: of the plant, or of the controller's model of the plant.
 NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
-#: A feedthrough below this fraction of the gain counts as rounding.
+#: A feedthrough below this fraction of the gain counts as a rounding error.
 ROUNDING = 1e-9
 
 

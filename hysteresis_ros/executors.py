@@ -215,7 +215,7 @@ def _alone() -> Iterator[None]:
     """Start the processes of the block without interrupts, and with one thread for linear algebra each.
 
     An interrupt of this process is delivered at the end of the block. The processes do not run the user's main script,
-    so it needs no ``if __name__ == "__main__"``.
+    so the script needs no ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit the mask

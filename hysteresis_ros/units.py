@@ -175,7 +175,7 @@ def shown_unit(unit: str) -> str:
 
 
 def ending(unit: str) -> str:
-    """Return the ending of a figure's name for its unit, such as ``_m`` or ``_degc``."""
+    """Return the ending that a unit adds to the name of a figure, such as ``_m`` or ``_degc``."""
     return "_" + {"%": "in_percent"}.get(unit, unit.replace("/", "_per_").replace("^", "").lower())
 
 

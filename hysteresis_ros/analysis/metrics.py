@@ -95,9 +95,9 @@ def axis_settings(recording: Recording) -> AxisSettings:
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
     """Return the reference with which the displacement is compared, shape (N,) [m].
 
-    With a preview of P samples, it is the recorded reference delayed by P samples, unless the axis learns to follow it
-    without delay (:func:`reference_delay`). Before the recording, the reference is assumed to equal its first value. A
-    value is NaN if the sample P samples earlier is missing, or is outside an excerpt.
+    With a preview of P samples, this is the recorded reference delayed by P samples, unless the axis learns to follow
+    it without delay (:func:`reference_delay`). Before the recording, the reference is assumed to equal its first value.
+    A value is NaN if the sample P samples earlier is missing, or is outside an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
@@ -191,7 +191,7 @@ FIGURES = (
 def axes_figures(recording: Recording) -> dict[str, dict]:
     """Return the figures of merit of each axis of a stage, by the name of the axis.
 
-    All axes are evaluated from the time at which the last of them begins its scan
+    All axes are evaluated from the time at which the last axis begins its scan
     (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis that holds its position is evaluated while the
     others scan.
     """
@@ -241,7 +241,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
     ``saturated_percent``                   samples in which range or slew rate of the compensator limit the command [%]
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
-                                            sample minus that of the first
+                                            sample minus time of the first
     ``missing_samples``                     samples that are not in the bag, or lack a signal
     ``sample_rate_hz``                      1 / interval between the stamps, missing samples included
     ``rate_hz``                             achieved rate, from the times of reception; the sample rate if the recording
@@ -250,14 +250,14 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``lateness_p50_s``, ``…p99_s``,         of a fused run: lateness of the samples, percentiles 50, 99 and 99.9,
     ``…p999_s``, ``…max_s``                 and largest
     ``skipped_samples``                     of a fused run: samples that were skipped because their time had passed
-    ``disturbed_percent``                   of a fused run: samples from a skipped one until its effect on the error has
+    ``disturbed_percent``                   of a fused run: samples from a skipped sample until the error has
                                             decayed (:func:`hysteresis_ros.analysis.parts.disturbed`), in % of the
                                             samples that count for errors
     ``undisturbed_rms_error_m``,            rms and largest error of the other samples; None if no sample or every
     ``undisturbed_max_error_m``             sample is disturbed
     ``parts``                               list of dicts, the parts of the run in order: ``part`` (approach,
                                             steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, the figures that
-                                            apply to it (those of a scan over its whole periods), and for a repeating
+                                            apply to the part (for a scan: over whole periods), and for a repeating
                                             reference ``periods`` and ``period_s``
     ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
     ======================================= ==========================================================================
@@ -437,7 +437,7 @@ def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict
 
 
 def error_figures(error, stroke: float) -> dict[str, float]:
-    """Return rms and largest error as :func:`compute_metrics` defines them; no percentages without a stroke.
+    """Return RMS and largest error as defined by :func:`compute_metrics`; percentages are omitted if the stroke is 0.
 
     Units: ``error`` [m], ``stroke`` [m].
     """
@@ -459,7 +459,7 @@ def absolute_integral(time, error) -> float:
 
 
 def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
-    """Return for each figure its worst value over all steps."""
+    """Return the worst value of each figure over all steps."""
     inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
     each = [step_figures(*run.at(part)) for part in inside]
     each = [figures for figures in each if figures["steps"]]
@@ -569,7 +569,7 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
     late = recording["lateness"] if recording.has("lateness") else np.zeros(0)
     late = late[np.isfinite(late)]
     if late.size or "lateness_max_s" in timing:
-        # the metadata contain these figures only for the whole run, not for parts of it
+        # the metadata contain these figures only for the whole run, not for parts of the run
         figures |= {
             name: float(np.percentile(late, part)) if late.size else timing[name] for name, part in LATENESS.items()
         }

@@ -67,7 +67,7 @@ def origin(recording: Recording) -> str:
 
 
 def require_page(path) -> None:
-    """Raise RecordingError if the suffix is not that of an HTML page, or if the folder does not exist."""
+    """Raise RecordingError if the suffix is neither ``.html`` nor ``.htm``, or if the folder does not exist."""
     suffix = pathlib.Path(path).suffix
     if suffix.lower() not in PAGES:
         raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")

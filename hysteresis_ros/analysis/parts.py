@@ -179,7 +179,7 @@ JUDGED_BY = {
     Kind.HOLD: ("rms_error_m", "max_error_m"),
     Kind.SHUTDOWN: (),
 }
-#: Reasons why a part of some kind has no figures.
+#: Kinds of parts without figures, and the reason.
 NOT_JUDGED = {
     Kind.APPROACH: "not evaluated: it leads into the scan",
     Kind.SHUTDOWN: "not evaluated: the axis was stopped, its voltage goes to the safe value",
@@ -561,7 +561,7 @@ def within(recording: Recording, first: float, last: float) -> Recording:
 def period_ends(recording: Recording) -> np.ndarray:
     """Return the times at which whole periods of the reference end, the latest first, shape (P + 1,) [s].
 
-    The periods are those of the longest periodic part of the run; the result is empty if no part is periodic.
+    The periods belong to the longest periodic part of the run; the result is empty if no part is periodic.
 
     Times count from the first sample.
     """

@@ -146,7 +146,7 @@ class Chart:
     #: Further marked ranges of x, shape (M, 2), in another colour; :attr:`marked_label` states their meaning.
     marked: np.ndarray | None = None
     marked_label: str = ""
-    limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default those of the lines.
+    limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default the range of the lines.
     note: str = ""  #: A sentence below the chart.
     height: float = 2.8  #: Height of the static figure [inches].
 
@@ -155,7 +155,8 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
     """Return columns over common times, thinned to two points per block of samples so that extremes remain.
 
     For each block, a column keeps its lowest and its highest value, in the order in which they occur. Their times are
-    set to those of the block's first and middle sample, so a peak is drawn at most one block from its true time.
+    set to the times of the first and the middle sample of the block, so a peak is drawn at most one block from its true
+    time.
 
     Units: ``time`` [s].
     """

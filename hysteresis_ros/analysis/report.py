@@ -54,7 +54,7 @@ from hysteresis_ros.units import FINE
 
 #: Number of blocks of samples. The page contains sums over each block, and a time span consists of whole blocks.
 BLOCKS = 1500
-#: Number of periods at the end of a run that have a column of figures of their own.
+#: Number of periods at the end of a run that get a separate column of figures.
 LAST = 2
 #: Kinds of parts with a column, largest number of such columns, and fraction of the run above which a part counts as
 #: the whole run.
@@ -71,7 +71,7 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
     """Return the time spans that have a column in the table: the whole run, its longest parts, its last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
-    # a part that is the whole run has no column of its own
+    # a part that is the whole run gets no separate column
     parts = [one for one in figures.get("parts", ()) if one["part"] in SHOWN]
     parts = [one for one in parts if one["to_s"] - one["from_s"] < WHOLE * (time[-1] - time[0])]
     parts = sorted(parts, key=lambda one: one["to_s"] - one["from_s"])[-PARTS:]
@@ -94,7 +94,7 @@ def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
     """Return sums over blocks of samples, from which the figures of any span of whole blocks follow exactly.
 
     A term between two samples belongs to the block of the later sample; ``joint_…`` is the term that leads to the first
-    sample of the block. A span that begins with this block omits it.
+    sample of the block. A span that begins with this block omits this term.
 
     ====================== ================================================================================
     ``from``, ``to``       first and last time of the block [s]

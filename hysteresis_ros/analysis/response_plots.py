@@ -32,7 +32,7 @@ _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), 
 #: Largest absolute value of the real and the imaginary part in the Nyquist plot.
 NYQUIST = 2.5
 
-#: Colours of the responses of a stage, except that of the measurement.
+#: Colours of the responses of a stage, except the colour of the measurement.
 _FITTED, _NOISE, _DISTORTION = "#d1495b", "#9a9a9a", "#e09f3e"
 _MICRO = 1e6
 #: Largest number of columns of a figure of responses; for a stage with more axes, the figure shows only the response of
@@ -70,7 +70,7 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
 
 
 def require_picture(path) -> None:
-    """Raise RecordingError if the suffix is not that of a picture, or if the folder does not exist."""
+    """Raise RecordingError if the suffix is not ``.png``, or if the folder does not exist."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ".png":
         raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")

@@ -62,7 +62,7 @@ class Judged:
 
     recording: Recording
     settings: AxisSettings
-    displacement: np.ndarray  #: shape (N,); True, or measured, minus the preload offset [m].
+    displacement: np.ndarray  #: shape (N,); True displacement, or the measured one, minus the preload offset [m].
     #: reference, error: shape (N,); Reference that is compared with the displacement, and reference - displacement [m];
     #: NaN while the axis is stopped; None if the recording has no reference.
     reference: np.ndarray | None
@@ -177,7 +177,7 @@ def error_chart(run: Judged) -> Chart | None:
 def loops_chart(run: Judged) -> Chart | None:
     """Return the chart of the loops: displacement versus voltage and, after compensation, versus reference [µm, %].
 
-    A voltage without reversals has no loop and is not drawn; None if the reference (without one, the voltage) has no
+    A voltage without reversals forms no loop and is not drawn; None if the reference (without one, the voltage) has no
     reversals.
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
@@ -254,7 +254,7 @@ def late_samples_chart(run: Judged) -> Chart | None:
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
-    # both axes are logarithmic: all of the latest samples are kept, and fewer and fewer of the earlier ones
+    # both axes are logarithmic: the largest values are all kept, and of the smaller values fewer and fewer
     ranks = np.unique(np.rint(np.geomspace(1, late.size, 400)).astype(np.int64))
     # a lateness of 0 cannot be drawn on a logarithmic axis
     line = Line("samples", "late", np.maximum(late[ranks - 1], 0.1)[::-1], (ranks / late.size)[::-1])

@@ -334,7 +334,7 @@ def scan_figures(run: ScanRun) -> dict:
 
 
 def _begins(run: ScanRun) -> np.ndarray:
-    """Return which of the counted samples are the first of their pass."""
+    """Return whether each counted sample is the first sample of its pass."""
     clock, on = run.clock, run.counted
     keys = np.stack([clock.frame[on], clock.line[on], clock.direction[on]])
     return np.concatenate([[True], np.any(np.diff(keys, axis=1) != 0, axis=0)])

@@ -254,7 +254,7 @@ def summary(moves: list[dict]) -> dict:
 
 
 def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
-    """Return the figures of each run; ``summary`` is the summary of the run's moves."""
+    """Return the figures of each run, with a summary of its moves under ``summary``."""
     found = figures_of_each(runs, inchworm_figures)
     return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
 

@@ -81,7 +81,7 @@ def _judgement(one: dict) -> str:
 
 
 def leading(columns: Sequence[dict]) -> tuple:
-    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES`, ordered so that those of the longest part come first."""
+    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES`, with the figures of the longest part first."""
     lasting: dict[str, float] = {}
     for one in (one for figures in columns for one in figures.get("parts", ())):
         if one["part"] in (Kind.STEPS, Kind.SCAN, Kind.PATH):

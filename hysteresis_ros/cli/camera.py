@@ -81,7 +81,7 @@ def _metres(option: str, text: str) -> float:
 
 
 def _parameters(config, namespace, calibrating, method, along, region, scale):
-    """Return the parameters of the file, changed by the options; to determine a scale, none needs to be given."""
+    """Return the parameters of the file, changed by the options; ``calibrating``: the scale need not be given."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.hardware.tracker import CameraParameters
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis demo``: run an axis in real time without and with its inverse, with setpoints, and as processes."""
+"""``hysteresis demo``: run an axis in real time without and with the inverse, with setpoints, and as processes."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def _tables() -> dict:
 
 
 def parameter_lines(nodes: list[str]):
-    """Yield the lines of the tables: first the parameters that all nodes share, then those of each node."""
+    """Yield the lines of the tables: first the parameters that all nodes share, then the others of each node."""
     from hysteresis_ros.configuration import STAGE
     from hysteresis_ros.loop.parameters import NodeParameters
 

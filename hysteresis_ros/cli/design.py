@@ -320,7 +320,7 @@ def _with_feedforward(text: str, source: str, preview: int | None, band: float |
 
 
 def _design_stage_feedforward(configuration, output: str | None, options: dict) -> None:
-    """Design the feedforward of a stage for its present controllers, and write it to the parameter file."""
+    """Design the feedforward of a stage for its present controllers, and write the parameter file."""
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
 
@@ -341,7 +341,7 @@ def _design_stage_feedforward(configuration, output: str | None, options: dict) 
 
 
 def _learn_together(configuration, request, runs, output: str) -> None:
-    """Learn corrections for all axes of a stage from recorded runs; write them and the stage file that uses them."""
+    """Learn corrections for all axes of a stage from recorded runs; write the corrections and a file that uses them."""
     from hysteresis_ros.control.learning import write_learned
     from hysteresis_ros.designs.coupled_learning import coupled_learning_file, learned_from, trial_lines
     from hysteresis_ros.errors import ConfigurationError

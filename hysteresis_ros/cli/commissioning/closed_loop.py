@@ -52,7 +52,7 @@ from hysteresis_ros.units import readable
 #: Fraction of the stroke that is scanned by default; numbers of periods for settling and for the evaluation.
 SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
 #: Small steps in closed loop, as fractions of the stroke, with their hold and rise times [s]. They begin above the
-#: lower end of the stroke, because hysteresis keeps the stage from returning to that end.
+#: lower end of the stroke, because hysteresis prevents the stage from returning to that end.
 FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
 #: Fraction of a hold, at its end, that is evaluated.
 JUDGED_PART = 0.2
@@ -276,7 +276,7 @@ PLANE = 3.0
 
 
 def _played_reference(situation: Situation, configuration: Configuration) -> tuple[np.ndarray, Plan, float]:
-    """Return the reference [m], the samples of the excitation in it, and its peak [m]."""
+    """Return the reference [m], the plan of the excitation in it, and the peak of the excitation [m]."""
     low, high = _reach(situation, configuration)
     samples, plan = excitation(EXPERIMENT, situation.rate)
     peak = situation.plan.small * (high - low)
@@ -315,7 +315,7 @@ def measured_plant(situation: Situation) -> MeasuredPlant | None:
 
 
 def judge_response(situation: Situation, recording: Recording) -> Outcome:
-    """Compare the measured margins of the closed loop with the predicted ones."""
+    """Compare the measured margins of the closed loop with the predicted margins."""
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
@@ -495,7 +495,7 @@ def in_time(skipped: np.ndarray) -> np.ndarray:
 
 
 def _missed_lines(situation: Situation, recording: Recording, errors: np.ndarray) -> list[str]:
-    """Return the sentence about missed deadlines, if they are known; ``errors`` [m], shape (periods, samples)."""
+    """Return the sentence about missed deadlines, if these are recorded; ``errors`` [m], shape (periods, samples)."""
     if not recording.has("skipped"):
         return []
     unjudged = len(errors) - JUDGED_PERIODS

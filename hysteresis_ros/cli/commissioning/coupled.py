@@ -43,8 +43,8 @@ DESIGNED = "designed.yaml"
 def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[str, Plan]:
     """Return the plan of each axis, from the section for all axes and the section in the namespace of the axis.
 
-    By default the cycles are as fast as those of `hysteresis excite`. A range that the sections do not give must be
-    within the limits of the plant. A range that they give replaces these limits, as for a single axis.
+    By default the cycles are as fast as in `hysteresis excite`. A range that the sections do not give must be
+    within the limits of the plant. A range in these sections replaces these limits, as for a single axis.
     """
     found = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
@@ -114,7 +114,7 @@ class StageSituation:
         own = {stage: Outcome([], one.figures[name]) for stage, one in self.found.items() if name in one.figures}
         return Situation(
             self.configuration, self.parameters.axes[place], self.plans[name], self.folder, found=own
-        )  # the checks of a single axis need no more
+        )  # the checks of a single axis need no further data
 
     def within(self) -> Configuration:
         """Return the configuration with the ranges of the plans; each axis holds the middle of its allowed motion.
@@ -144,7 +144,7 @@ class StageSituation:
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 
     def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
-        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just beyond them."""
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just beyond these."""
         ranges = []
         for name, volts in zip(self.names, voltages.T, strict=True):
             plan = self.plans[name]

@@ -47,7 +47,7 @@ LOOSE = 0.05
 
 
 def identify_coupled(situation: StageSituation) -> Outcome:
-    """Identify the stage and write it in open loop; a held-out realisation of the multisines tests the model."""
+    """Identify the stage and write its file, in open loop; a held-out realisation of the multisines tests the model."""
     reading, data = identification_data(situation, situation.folder.recording("multisine"))
     loops = reading_of(situation.folder.recording("hysteresis"), "hysteresis.npz")
     request = StageRequest(
@@ -108,7 +108,7 @@ def _pictures(situation: StageSituation, found: IdentifiedStage) -> list[Picture
 
 
 def design_coupled(situation: StageSituation) -> Outcome:
-    """Design a controller for each axis, judge all loops together, and write the stage that predicts the runs."""
+    """Design a controller for each axis, check all loops together, and write the stage that predicts the runs."""
     (situation.folder.path / COMMISSIONED).unlink(missing_ok=True)
     configuration = load_configuration(situation.folder.path / IDENTIFIED)
     parameters = StageParameters.from_configuration(configuration)

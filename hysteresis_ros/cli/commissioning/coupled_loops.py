@@ -322,7 +322,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
 def together(situation: StageSituation) -> tuple[np.ndarray, slice]:
     """Return simultaneous sines with a different frequency on each axis, shape (N, n) [m], and the evaluated samples.
 
-    Frequencies are 1, 1.5, 2 … times that of the scan, so the path repeats after two periods of the scan.
+    Frequencies are 1, 1.5, 2 … times the frequency of the scan, so the path repeats after two periods of the scan.
     """
     rate, period = situation.rate, 2 * scan_period(situation)
     index = np.arange((TOGETHER + 2) * period)

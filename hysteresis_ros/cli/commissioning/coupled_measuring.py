@@ -135,7 +135,7 @@ def resonance_stage(situation: StageSituation) -> StageParameters:
 
 
 def judge_resonance(situation: StageSituation, recording: Recording) -> Outcome:
-    """Evaluate the small multisines, and how far they move each axis."""
+    """Evaluate the small multisines, and how far each axis moves."""
     spans = situation.in_turn(small_multisine)[1]
     first = round(REST * situation.rate) + round(WAY * situation.rate) + SMALL_PERIOD
     steady = slice(first, first + (SMALL_PERIODS - 1) * SMALL_PERIOD)
@@ -227,7 +227,7 @@ def hysteresis_stage(situation: StageSituation) -> StageParameters:
 
 
 def judge_hysteresis(situation: StageSituation, recording: Recording) -> Outcome:
-    """Evaluate the decaying cycles of each axis, and how far they move the others."""
+    """Evaluate the decaying cycles of each axis, and how far the other axes move meanwhile."""
     spans = situation.in_turn(volts.decaying_cycles)[1]
     outcome = each_axis(situation, recording, volts.judge_hysteresis, spans)
     lines = list(outcome.lines)

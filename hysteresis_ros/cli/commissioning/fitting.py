@@ -39,7 +39,7 @@ from hysteresis_ros.units import readable
 #: Number of samples per cycle for the identification of the hysteresis; more samples add no information.
 SAMPLES_A_CYCLE = 100
 #: Largest number of other models with which controllers are checked, and largest error of these models on held-out
-#: blocks, relative to that of the best model.
+#: blocks, relative to the error of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
 #: Other models that are used when no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
@@ -297,7 +297,7 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
-    # the limits stay, because the amplifier is the same
+    # the limits are kept, because the amplifier is the same
     limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
     plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})

@@ -311,7 +311,7 @@ class Situation:
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
-        """Return parameters that make the travel monitor of a device valid, whatever model the file contains."""
+        """Return parameters with which the travel monitor of a device is valid, for any model in the file."""
         # the range of plausible measurements follows from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
