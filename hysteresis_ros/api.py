@@ -664,8 +664,8 @@ def simulate(
     duration : float, optional
         Duration [s]; by default from ``setpoints``, from the parameter ``samples`` or from the waveform.
     setpoints : array_like, shape (N,), or mapping of str to array_like, optional
-        Setpoint at each sample [m]; the last one is held until the end of the run. For a stage: a mapping by the names
-        of its axes.
+        Setpoint at each sample [m]; the last setpoint is held until the end of the run. For a stage: a mapping by the
+        names of its axes.
     requests : array_like, shape (N,), optional
         Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional

@@ -290,7 +290,7 @@ class Parameters:
         return ()
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return one sentence per warning about allowed parameters, including the groups in use."""
+        """Return the warnings about allowed values, one sentence each, including those of the groups in use."""
         found = []
         for item in fields(self):
             chooser = item.metadata.get("variant_of")
@@ -482,7 +482,7 @@ def normalised_namespace(namespace: str) -> str:
 
 
 def matches(pattern: str, full_name: str) -> bool:
-    """Return whether a node's full name matches a pattern: ``**`` matches any tokens, ``*`` one."""
+    """Return whether a node's full name matches a pattern: ``**`` matches any number of tokens, ``*`` one."""
     if not pattern.startswith("/"):
         pattern = "/" + pattern
     expression = ""

@@ -100,7 +100,7 @@ def design(
     duration : float, optional
         Length of the run that ``criterion`` evaluates [s].
     feedforward : bool
-        Add the inverse of the dynamics.
+        Add the inverse of the dynamics as feedforward.
     preview : int, optional
         With ``feedforward``: number of samples by which the reference is known in advance; by default as many as the
         inverse needs.

@@ -10,8 +10,8 @@
 """Registries of declarations in folders and in other packages, and notebook classes generated from them.
 
 Every module (or folder) in such a folder declares an object under one name, for instance ``MODEL``, or a tuple of such
-objects. The registry finds every file of the folder. Other packages add declarations by an entry point of the
-registry's group.
+objects. The registry finds every module of the folder whose name does not begin with ``_``. Other packages add
+declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
 entry of a registry. Such a class is generated: it is the block with a constructor that takes keywords.

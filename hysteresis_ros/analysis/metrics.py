@@ -47,7 +47,8 @@ from hysteresis_ros.units import readable
 class AxisSettings:
     """Settings of the axis on which the figures of merit depend."""
 
-    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has none [V].
+    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has no limits
+    #: [V].
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model [m]; the reference does not contain it.
@@ -204,15 +205,16 @@ def axes_figures(recording: Recording) -> dict[str, dict]:
 def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:
     """Return the figures of merit of a run.
 
-    The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
-    controller's model. On hardware the measured displacement is used instead, and the notes of the recording say so.
-    With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis learns:
-    then every figure uses the undelayed reference, and the notes give the RMS error against the delayed reference.
-    Samples without reference or displacement do not count. If a scan begins with a jump, errors are evaluated from the
-    reversal at which the axis begins to follow its reference (:func:`hysteresis_ros.analysis.parts.scan_start`), except
-    in an excerpt, in which all samples count. Errors, steps, loops and the residual omit the samples in which the axis
-    is stopped (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke
-    is the range of the displacement.
+    The error is e = reference - displacement. The displacement is the true displacement minus the preload offset W of
+    the controller's model. On hardware the measured displacement is used instead, and the notes of the recording say
+    so. With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis
+    learns: then every figure uses the undelayed reference, and the notes give the RMS error against the delayed
+    reference. Samples without reference or displacement do not count. If a scan begins with a jump, errors are
+    evaluated from the reversal at which the axis begins to follow its reference
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors, steps,
+    loops and the residual omit the samples in which the axis is stopped
+    (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is the
+    range of the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)

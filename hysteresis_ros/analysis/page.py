@@ -39,7 +39,7 @@ def render_page(template: str, **values) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    # not imported, because the package itself imports this module
+    # no import statement, because the package itself imports this module
     version = sys.modules[__name__.partition(".")[0]].__version__
     made = f"hysteresis_ros {version}, {_date(time.time())}"
     return environment.get_template(template).render(made=made, colours=COLOURS, **values)

@@ -134,7 +134,7 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
 
 
 def trigger_times(runs: Iterable[Recording], time: np.ndarray, origin: float = 0.0) -> np.ndarray:
-    """Return the trigger times of axes that are within the times of a run [s], counted from ``origin`` [s]."""
+    """Return the trigger times of several axes within the time span of a run [s], counted from ``origin`` [s]."""
     found = np.sort(np.concatenate([triggers_of(run).time for run in runs])) - origin
     return found[(found >= time[0]) & (found <= time[-1])]
 

@@ -54,7 +54,7 @@ def demo(output, factor):
     First, in real time and fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on
     the topic. Then the triangle runs as four processes in lockstep, and is compared bit for bit with the offline twin.
     """
-    # stdout gets only the results
+    # only the results go to stdout
     progress = Progress(err=True, silence=SILENCE)
     progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
     with progress.during("loading"):

@@ -254,7 +254,7 @@ def _fused(progress: Progress) -> list[dict]:
                 made.append(_trial(rate, priority))
             progress.say(_row(made[-1]))
             if made[-1]["warning"]:
-                break  # the priority was not granted; the round with normal priority would measure the same again
+                break  # the priority was not granted; this round would repeat the round with normal priority
             if made[-1]["skipped"] > HOPELESS * made[-1]["samples"]:
                 break
         held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)

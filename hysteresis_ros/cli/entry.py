@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _leave_at_once() -> NoReturn:
-    """Exit immediately with the exit code of Ctrl-C; in a normal exit the signal could end Python first."""
+    """Exit immediately with the exit code of Ctrl-C; during a normal exit, the signal could end Python first."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(INTERRUPTED)

@@ -203,7 +203,7 @@ def _of_stage_whole(path: pathlib.Path, namespace) -> bool:
 
 
 def _of_stage_recording(path: pathlib.Path, plan, period: float | None, options: dict):
-    """Return the response matrix of the recording of a stage."""
+    """Return the response matrix from a recording of a stage."""
     from hysteresis_ros.designs.stage_frequency_response import recorded_stage_response
     from hysteresis_ros.identification.stage_data import read_stage
 

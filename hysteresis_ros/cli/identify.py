@@ -343,7 +343,7 @@ def _figures(summary: dict, found) -> str:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--yaml", "as_yaml", is_flag=True, help="Print the parameter file of an axis with an example of NAME.")
 def models(name, as_json, as_yaml):
-    """Print all models, or all about the model NAME."""
+    """Print all models, or the details of the model NAME."""
     from hysteresis_ros.identification.registry import find_model
     from hysteresis_ros.models.hysteresis import MODELS
 

@@ -89,7 +89,7 @@ def get(node, names, namespace, timeout):
 @click.command(
     name="set",
     short_help="Set parameters of a running node, all or none.",
-    # a negative value is not an option
+    # a negative value must not be read as an option
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("node", type=NodeName())
@@ -128,7 +128,7 @@ def echo(topic, once, count, namespace, timeout):
 
 @click.command(
     short_help="Send a setpoint to a running axis.",
-    # a negative setpoint is not an option
+    # a negative setpoint must not be read as an option
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("value")
@@ -154,7 +154,7 @@ def _quantity(name: str, text: str, unit: str) -> float:
 
 @click.command(
     short_help="Move a running axis; print when it is ready.",
-    # a negative setpoint is not an option
+    # a negative setpoint must not be read as an option
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("value")

@@ -319,7 +319,7 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
-        # no error, because later stages do not depend on this result
+        # no exception, because later stages do not depend on this result
         return Outcome([f"margins not measured: {error}; `small` in /commissioning sets the amplitude"])
     # the margins are not None, because the plan closes the loop and the axis is known
     known = found.loop, found.margins, found.model_loop

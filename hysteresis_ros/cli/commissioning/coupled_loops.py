@@ -79,7 +79,7 @@ class Range:
 
     @property
     def far(self) -> float:
-        """End of the range that is farther from the rest."""
+        """End of the range that is farther from ``rest``."""
         return self.high if self.high - self.rest >= self.rest - self.low else self.low
 
 

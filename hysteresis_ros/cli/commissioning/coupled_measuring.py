@@ -46,7 +46,7 @@ SMALL_PERIOD, SMALL_PERIODS = 8000, 5
 MISTAKEN = 2.0
 #: Largest predicted motion of the multisine of the identification about its mean, as a fraction of the stroke.
 SWING = 0.25
-#: Largest ratio of the noise of the response to the response.
+#: Largest ratio of the noise in the response to the response.
 NOISY = 0.5
 
 
