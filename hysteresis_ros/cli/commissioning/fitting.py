@@ -215,8 +215,7 @@ def excited(situation: Situation) -> float:
 
 
 def design_stage(situation: Situation) -> Outcome:
-    """Design controllers, simulate the scan of the identified stage with each of them, and write the best
-    controller."""
+    """Design controllers, simulate the scan of the identified stage with each, and write the best controller."""
     configuration = load_configuration(situation.folder.path / IDENTIFIED)
     plants = {name: _plant(situation, name) for name in situation.found["identify"].figures["others"]}
     names = list(DESIGNS) if situation.controller == "auto" else [situation.controller]
