@@ -67,10 +67,10 @@ def with_groups(cls):
 
     Groups with the name of a law come first, then the groups that laws share.
 
-        Raises
-        ------
-        TypeError
-            Two laws declare different parameters under the same group.
+    Raises
+    ------
+    TypeError
+        Two laws declare different parameters under the same group.
     """
     found: dict[str, tuple[type[Parameters], list[str]]] = {}
     for law in LAWS.values():
@@ -184,11 +184,11 @@ class Handover(Block):
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal to its last output, and let the difference from the input decay.
 
-    It is used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
-    ``last`` is the value to continue from if another (safe) output was sent after the block's last output. ``lasting``
-    is the mean recent difference between the output and the new input. Only this part decays with the time constant.
-    The rest of the present difference is mostly noise and is halved in each sample, because a slowly decaying bias from
-    noise would disturb the feedback.
+    Call it after a change of controller type or gains, after a stale measurement, and at a start after a stop. ``last``
+    is the value to continue from if another (safe) output was sent after the block's last output. ``lasting`` is the
+    mean recent difference between the output and the new input. Only this part decays with the time constant. The rest
+    of the present difference is mostly noise and is halved in each sample, because a slowly decaying bias from noise
+    would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -241,7 +241,7 @@ class ControllerParameters(Parameters):
 
     @property
     def without_preload(self) -> ControllerParameters:
-        """These parameters with a preload offset of 0, for measurements without it; always the same instance."""
+        """These parameters with a preload offset of 0, for measurements without offset; always the same instance."""
         if "_without_preload" not in self.__dict__:
             self.model.preload.validated("model.preload.")
             model = replace(self.model, preload=PreloadParameters())
@@ -332,7 +332,7 @@ def handover_block(parameters: ControllerParameters, sample_time: float) -> Hand
     return Handover(HandoverParameters(time=parameters.handover_time), sample_time)
 
 
-#: Number of stored samples, with which an observer can settle.
+#: Number of stored samples; they are enough for an observer to settle.
 SAMPLES = 500
 #: Number of last samples over which the commands of two controllers are compared.
 AVERAGED = 50

@@ -94,7 +94,7 @@ def relative_gain_array(gain) -> np.ndarray:
 
     Λ_ij is the gain from input j to output i with all other loops open, divided by the same gain with all other loops
     closed and ideal. Each row and each column sums to 1. Pairs with entries near 1 interact little. If the entry of a
-    pair is negative, its gain changes sign when the other loops open.
+    pair is negative, the gain of this pair changes sign when the other loops open.
 
     Parameters
     ----------
@@ -179,10 +179,10 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
         f = (1 + (1 - σ)/2 δ) / (1 - (1 + σ)/2 δ),  abs(δ) < α,
 
     which represents any change of gain and phase within a disk around 1. The margin is the largest α for which the
-    loops stay stable [1]_. For a single loop, 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2);
-    for independent factors in all loops, of the structured singular value of S + (σ - 1)/2 I. The structured singular
-    value is bounded from above by the largest singular value of D (…) D⁻¹, minimised over diagonal D. This bound is
-    exact for up to three loops; for more loops the returned margin is conservative.
+    loops stay stable [1]_. For a single loop, 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2).
+    For independent factors in all loops, 1/α is the largest structured singular value of S + (σ - 1)/2 I. The
+    structured singular value is bounded from above by the largest singular value of D (…) D⁻¹, minimised over diagonal
+    D. This bound is exact for up to three loops; for more loops the returned margin is conservative.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
     sample_time : float
         [s]
     skew : float
-        Skew σ; 0 gives the symmetric margin, 1 that of S, -1 that of T.
+        Skew σ; 0 gives the symmetric margin, 1 the margin of S, -1 the margin of T.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def _peak(function, angles, place: int) -> tuple[float, float]:
     best, first, second = at(angles[place]), at(high - part * (high - low)), at(low + part * (high - low))
     for _ in range(STEPS):
         best = max(best, first, second, key=lambda item: item[1])
-        # one of the two points remains one of the next two
+        # one of the two inner points is also an inner point of the next interval
         if second[1] > first[1]:
             low, first = first[0], second
             second = at(low + part * (high - low))
@@ -292,8 +292,8 @@ def _scaled(matrix, logs) -> float:
 def _up_to_two(matrices) -> np.ndarray:
     """Return the structured singular values of complex matrices, shape (F, n, n) with n ≤ 2, without a search.
 
-    A scaling keeps the product of both singular values, so the largest one is least where the sum of their squares is:
-    where the two entries beside the diagonal have the same magnitude.
+    A scaling keeps the product of both singular values. Therefore the larger one is smallest where the sum of their
+    squares is smallest: where the two off-diagonal entries have the same magnitude.
     """
     equal = np.array(matrices)
     if equal.shape[1] == 2:

@@ -48,8 +48,8 @@ finite impulse response g* p. If the preview is too short for this response, the
 
 **Without preview** the response to a reference that changes now is late by the delay of the dynamics. For a smooth
 reference, ``velocity`` commands r(k) + τ (r(k) - r(k-1)), with the mean delay τ of the dynamics [samples]: the error of
-a ramp is 0, and that of a sine is about (ω τ T)²/2 of its amplitude instead of ω τ T. At a corner of the reference the
-command jumps by τ times the change of velocity.
+a ramp is 0, and the error of a sine is about (ω τ T)²/2 of its amplitude instead of ω τ T. At a corner of the reference
+the command jumps by τ times the change of velocity.
 
 With ``preview: N`` the reference received at sample k is r(k + N); the controller follows the delayed reference r(k),
 and reports evaluate the error against it.
@@ -57,7 +57,7 @@ and reports evaluate the error against it.
 References
 ----------
 .. [1] Tomizuka, Zero phase error tracking algorithm for digital control, J. Dyn. Sys. Meas. Control 109 (1987) 65-68,
-   doi:10.1115/1.3143822. There p = 1, and the amplitude is g g*.
+   doi:10.1115/1.3143822. This paper uses p = 1; its amplitude is g g*.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ LOWEST_ANGLE = 0.4 * math.pi
 REACH, LEFT = 10, 1e-3
 #: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
-#: Number of frequencies at which p is computed, and the error of f above which it is reported.
+#: Number of frequencies at which p is computed, and the error of f that limits ``known_to``.
 POINTS = 128
 TOLD = 0.01
 
@@ -130,8 +130,9 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out; zeros smaller than a zero of low angle cannot be separated from it, so they stay.
+    """Return the zeros to leave out.
 
+    Zeros are separated by their modulus, so a zero with a smaller modulus than a needed zero at a low angle is kept.
     Zeros nearer to the circle than ``margin`` count as zeros on the circle; ``inside`` includes the zeros inside it.
     """
     sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
@@ -191,7 +192,8 @@ TERMS = 3
 #: Maximum number of Newton steps for the matrix sign function, and change below which it has converged.
 SIGN_STEPS = 60
 SETTLED = 1e-14
-#: The radius of the circle that separates modes is at least the root of this number times the smallest outer mode.
+#: The radius of the circle that separates modes is at least the square root of this number, times the smallest modulus
+#: of an outer mode.
 NEAREST = 0.1
 
 
@@ -199,7 +201,7 @@ NEAREST = 0.1
 class InverseFilter:
     """Command from references: u(k) = Σ weights[i] r(k+first+i) + C s(k), s(k+1) = A s(k) + B Σ drive[i] r(k+first+i).
 
-    All in SI.
+    All quantities are in SI units.
 
     Parameters
     ----------
@@ -269,7 +271,7 @@ class _Parts(NamedTuple):
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
-    """Return the samples, delay included, until the output responds to an input; ParameterError if it never does."""
+    """Return the samples from an input to its first effect, delay included; ParameterError without any effect."""
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
 
 
@@ -383,7 +385,7 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i [m/m] of r(k+d+i) due to the outside zeros, until they are only rounding errors."""
+    """Return the weights w_i [m/m] of r(k+d+i) due to the outside zeros, up to the size of rounding errors."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
@@ -615,7 +617,7 @@ class FeedforwardParameters(Parameters):
 
     @property
     def inverts(self) -> bool:
-        """Whether the model follows the reference with this feedforward: exactly, or at least a smooth reference."""
+        """Whether the model follows the reference with this feedforward; ``velocity`` needs a smooth reference."""
         return self.type in ("velocity", "inverse_dynamics")
 
 
@@ -634,7 +636,7 @@ class Feedforward(Block):
     Raises
     ------
     ParameterError
-        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or they are meant
+        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or the dynamics are
         for another sample time.
     """
 

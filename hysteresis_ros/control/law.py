@@ -57,7 +57,7 @@ BOUND = 1e60
 
 @kernel
 def bounded(value):
-    """Return ``value`` limited to ±1e60; NaN becomes 0, but the nodes pass no NaN on."""
+    """Return ``value`` limited to ±1e60; NaN becomes 0, but the nodes never pass NaN."""
     if value != value:
         return 0.0
     if value > BOUND:
@@ -186,7 +186,7 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model, and the worst other figures over the plants up to the first that fails."""
+        """Return the bandwidth on the model, and the worst other figures up to the first plant that fails."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 

@@ -262,8 +262,8 @@ def read_learned(path) -> Learned:
     return Learned(period, sample_time, *arrays)
 
 
-# Parameters; then the taps of the error filter, from the largest lead on; then the taps of the robustness filter, from
-# the middle tap on.
+# Parameter array: a head; then the taps of the error filter, beginning with the largest lead; then the taps of the
+# robustness filter, beginning with the middle tap.
 PERIOD = 0  # N [samples]
 LEAD = 1  # lead of the first tap of the error filter [samples]
 TAPS = 2  # number of taps of the error filter
@@ -279,16 +279,17 @@ FADE = 9  # fraction of the correction that fades in or out per sample
 MISSING = 10  # fraction of the error filter's weight that may fall on unusable samples
 FILTERS = 13
 
-# State; then three ring buffers, longer than a period by what the filters need: correction, error, reference [m].
+# State array: a head; then three ring buffers for correction, error and reference [m], longer than a period by the
+# number of samples that the filters need.
 MODE = 0
 SAMPLES = 1  # number of samples since the beginning
 LEARNED = 2  # number of samples since learning began
 WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # number of samples until the response to a saturated command or a late voltage has decayed
-LOST = 6  # entry of these samples in the ring of errors: LIMITED or NaN
-STORED = 7  # for a correction from a file: samples on its path until it is treated as that of any other period; more
-# than a period: the axis is not on the path, and the correction stays stored; 0: no file, or the file is used up
+LOST = 6  # entry of the recovering samples in the ring of errors: LIMITED or NaN
+STORED = 7  # correction from a file: number of samples on its path until it is treated like any other correction;
+# more than a period: the axis is not on the path, and the correction stays stored; 0: no file, or the file is used up
 FIRST = 8  # reference of the first sample of this period [m]
 MOVED = 9  # 1: the reference has left the value FIRST in this period
 RINGS = 10
@@ -383,7 +384,7 @@ def updated(p, x, before, length):
 
 @kernel
 def file_stays(p, x, reference):
-    """Return whether a file's correction stays stored: the axis still approaches its path, and nothing else repeats.
+    """Return whether a file's correction stays stored: the axis is not yet on its path, and no other reference repeats.
 
     ``reference`` [m] is the reference of this sample, without correction.
     """
@@ -513,7 +514,7 @@ class Learning(Block):
         return np.concatenate([state, rings.ravel()])
 
     def changed(self, parameters: LearningParameters, fade: float) -> Learning:
-        """Return a checked block with other parameters, which :meth:`take` can apply.
+        """Return a checked block with other parameters; :meth:`take` can apply these parameters.
 
         Parameters
         ----------

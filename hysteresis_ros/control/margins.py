@@ -9,23 +9,24 @@
 
 """Robustness of linear loops, modelled or measured: loop transfer function, margins, sensitivity and bandwidth.
 
-Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The timing is that of the running
-loop: y_k = C x_k + D u_(k-1) is measured; u_k is computed from y_k in the same sample, and held until the next sample.
-It is assumed that commands are achieved, and that the inverse of the hysteresis is exact.
+Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The timing is the same as in the
+running loop: y_k = C x_k + D u_(k-1) is measured; u_k is computed from y_k in the same sample, and held until the next
+sample. It is assumed that commands are achieved, and that the inverse of the hysteresis is exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
 A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs). The loop tolerates the delay until this curve passes
 through −1.
 
 Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
-one sample in addition to the delay of the model. This additional sample covers about the delay of converters, data
+one sample in addition to the delay of the model. This additional sample is about the delay of converters, data
 transport and a loaded computer. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2
-asin(1/4) = 29 degrees [1]_, but no delay margin: at half the sample rate one sample of delay is 180 degrees of phase.
+asin(1/4) = 29 degrees [1]_. It does not imply a delay margin, because one sample of delay is 180 degrees of phase at
+half the sample rate.
 
-A measured loop is cut at the same place. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
-range of a margin follows from the circles of uncertainty around L at the measured frequencies. The range of the
-sensitivity follows from the points of the circles nearest to −1, that of the gain margin from the circles along the
-real axis, and that of the phase margin from the circles along the unit circle.
+A measured loop is also cut at the command. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
+range of a margin follows from the circles of uncertainty around L at the measured frequencies. The points of the
+circles nearest to −1 give the range of the sensitivity. The circles along the real axis give the range of the gain
+margin, and the circles along the unit circle give the range of the phase margin.
 
 References
 ----------
@@ -175,7 +176,8 @@ class Margins:
     delay_margin : float
         Tolerated additional delay [s].
     gain_crossovers, phase_crossovers : ndarray
-        Frequencies at which the loop transfer function has gain 1, and those at which it has phase −180 degrees [Hz].
+        Frequencies at which the loop transfer function has gain 1, and frequencies at which its phase is −180 degrees
+        [Hz].
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float
@@ -317,7 +319,7 @@ def judge(
 
 
 def _up_to(angles, begun) -> float:
-    """Return the first angle at which a condition holds: 0 if it holds at the first of ``angles``, π if nowhere."""
+    """Return the first angle at which a condition holds: 0 if it is the first of ``angles``, π if there is none."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi
@@ -362,7 +364,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
     if values[-1].real < 0.0:
         phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
     if _flat_and_negative(loop(LOWEST * np.array([1.0, 2.0]))):
-        phase_at = np.append(LOWEST, phase_at)  # and at frequency zero, if the loop has no integrator
+        phase_at = np.append(LOWEST, phase_at)  # L is also real at frequency zero, if the loop has no integrator
     phases = np.mod(np.angle(loop(gain_at)) + np.pi, 2.0 * np.pi)
     factors = -20.0 * np.log10(np.maximum(np.abs(loop(phase_at)), 1e-300))
     difference = np.abs(1.0 + values)
@@ -551,7 +553,7 @@ class MeasuredLoop:
         return self._least_phase(lambda phase, angle: phase / angle, folded=False)
 
     def rows(self, model: Margins | None = None) -> list[tuple[str, str]]:
-        """Return (name, text) of each printed row, with the value of the model if there is one."""
+        """Return (name, text) of each printed row, with the value of the model if it is given."""
         crossing = ", ".join(f"{value:.4g} Hz" for value in self.gain_crossovers) or "none in the band"
         rows = [
             ("gain crossover", crossing),

@@ -40,8 +40,8 @@ from hysteresis_ros.models.linear_algebra import eigenvalues, product
 #: Largest bandwidth of the pole [cycles per sample], and maximum number of its halvings.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Exponents of two at the ends of the range of the filter: ratio of the change of the disturbance per sample to the
-#: noise, both as the filter assumes them.
+#: Range of the filter, as exponents of two of a ratio: change of the disturbance per sample divided by the noise, both
+#: as the filter assumes them.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
 #: Weight of the penalty on a bandwidth above that of the feedback.
 IN_VAIN = 0.05
@@ -52,13 +52,13 @@ STEPS = (2.0, 1.0, 0.5)
 def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
     """Return the filter for a disturbance that changes by about ``size`` [input unit] per sample.
 
-    The ratios of the noises are fixed. Form, measurement noise and disturbance frequency are those of ``given``;
+    The ratios of the noises are fixed. Form, measurement noise and disturbance frequency are taken from ``given``;
     ``disturbance`` is the kind of disturbance.
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {
-        # without an estimated disturbance, the filter must follow the measurement; otherwise it does not notice a
-        # mismatch
+        # without an estimated disturbance, the filter must follow the measurement; otherwise a mismatch has no effect
+        # on the estimate
         "none": {"q": 100.0 * variance},
         "constant": {"q": 0.01 * variance, "q_disturbance": variance},
         "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
@@ -87,7 +87,7 @@ def solved(parameters, sample_time: float):
 
 
 class GainSearch:
-    """Search over points: exponent of two of the filter, and number of halvings of the pole's bandwidth.
+    """Search over points; a point is an exponent of two (filter) and a number of halvings (bandwidth of the pole).
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def lq_surface(given, dynamics):
 
 
 def _kalman(given, disturbance: str, q: float | None):
-    """Return the filter; a given gain is kept if its size fits the model and no q is requested."""
+    """Return the filter; a given gain is kept if its disturbance model stays the same and no q is requested."""
     if given.gain == "given" and disturbance == given.disturbance and q is None:
         return given
     noise = given.q if q is None else q * given.r
@@ -258,7 +258,7 @@ def reaching_law(parameters, pole: float):
 
 
 def sliding_pole(parameters, pole: float):
-    """Return the parameters with ``pole`` as slowest pole of the sliding motion; the others are the fast LQ poles."""
+    """Return the parameters with ``pole`` as slowest pole of the sliding motion, together with the fast LQ poles."""
     model = parameters.model.dynamics.state_space
     n, A, B = model.order, model.A, model.B
     S = design_sliding_mode(parameters.sliding_mode, model).S
@@ -319,7 +319,7 @@ def reaching_rows(parameters, sample_time: float):
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:
-    """Return the warning for a law that notices disturbances only through the innovations of the Kalman filter."""
+    """Return a warning if the law responds to disturbances only through the innovations of the Kalman filter."""
     if parameters.kalman.disturbance != "none":
         return ()
     return (

@@ -364,7 +364,7 @@ def pack_surface(parameters, sample_time: float | None):
 
 
 def require_target(parameters) -> None:
-    """Raise ParameterError about ``sliding_mode.tracking`` if a law that integrates itself has integral tracking."""
+    """Raise ParameterError about ``sliding_mode.tracking`` if a law that already integrates has integral tracking."""
     if parameters.sliding_mode.tracking == "integral":
         state_feedback.refuse(
             "sliding_mode.tracking",

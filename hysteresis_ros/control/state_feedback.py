@@ -83,12 +83,12 @@ def spectral_radius(A) -> float:
 
 
 def require_stable(A, name: str, value, what: str) -> None:
-    """Refuse a closed loop, or dynamics of an estimation error, with state matrix ``A``, if it does not decay.
+    """Refuse a closed loop, or the error dynamics of an estimator, with an unstable state matrix ``A``.
 
     Raises
     ------
     ParameterError
-        About ``name``, if an eigenvalue of ``A`` is on or outside the unit circle.
+        ``name``: an eigenvalue of ``A`` is on or outside the unit circle.
     """
     radius = spectral_radius(A)
     if not radius < 1.0 - BOUNDARY:

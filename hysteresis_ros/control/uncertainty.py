@@ -10,16 +10,17 @@
 """Uncertainty of the plant in a design: parameters, or a frequency response, that differ from those of the model.
 
 A design uses linear dynamics, because the compensator inverts hysteresis and creep. The slope of residual hysteresis
-depends on amplitude and history. It acts on a loop like a deviation of the gain, and is represented as such.
+depends on amplitude and history. It acts on a loop like a deviation of the gain, and is represented as one.
 
 With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of the plant's
 loop transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
 
 Above the highest known frequency not even the magnitude of the plant's response is known. There, a resonance with the
 damping ratio :data:`DAMPING` is assumed at the worst frequency. The resonance adds a/(2 DAMPING) times the static
-response to the response of the plant, and the loop multiplies this by the feedback gain |C|. Here a is the fraction of
-the displacement that passes through the resonance. It is assumed to be 1, but less just above the known range: a
-resonance at f changes the response at f' < f by a/((f/f')² − 1), and the measurement would have shown a large change.
+response to the response of the plant, and the loop multiplies this addition by the feedback gain |C|. Here a is the
+fraction of the displacement that passes through the resonance. The fraction a is assumed to be 1, but less just above
+the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), and the measurement would have
+shown a large change.
 
 References
 ----------
@@ -197,7 +198,7 @@ def possible_plant(
     """Return a plant whose gain, times and delay differ from the model's.
 
     ``gain`` and ``slowness`` are factors on the gain and on all times; ``acting`` adds the second output of
-    :func:`~hysteresis_ros.control.margins.with_acting`; ``aliased`` is that of :func:`slowed`. Units: ``sample_time``
+    :func:`~hysteresis_ros.control.margins.with_acting`; ``aliased`` is passed to :func:`slowed`. Units: ``sample_time``
     [s], ``late`` [samples].
     """
     changed = slowed(dynamics, slowness, aliased=aliased) if slowness != 1.0 else {}
@@ -249,7 +250,7 @@ def aliased_plants(
     """Return plants within the range of times, in which modes above a quarter of the sample rate are aliases.
 
     The result is empty if there are no such modes. A sampled response does not show whether a mode is at f or at f_s -
-    f, and a small relative deviation of f_s - f is a large one of f. Units: ``sample_time`` [s].
+    f, and a small relative deviation of f_s - f is a larger relative deviation of f. Units: ``sample_time`` [s].
     """
     model = dynamics.matrices
     poles = np.linalg.eigvals(model.A) if model.order else np.zeros(0)
@@ -314,11 +315,11 @@ class ResponseUncertainty:
     known_to : float
         Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
     crossover : float
-        Highest crossover [Hz] that a loop may have because the recording shows a (ringing) movement that the model
-        lacks and l does not bound. 0: no crossover is known to be safe; infinite: only l limits the loop.
+        Highest crossover [Hz] that a loop may have. It is finite if the recording shows a (ringing) movement that the
+        model lacks and l does not bound. 0: no crossover is known to be safe; infinite: only l limits the loop.
     gain : float
-        Largest factor on the gain of the plant that the recording does not rule out, for loops over a tenth of the
-        range; at least 1.
+        Largest factor on the gain of the plant that the recording does not rule out, for hysteresis loops of a tenth of
+        the range; at least 1.
     """
 
     frequencies: np.ndarray

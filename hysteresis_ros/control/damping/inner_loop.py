@@ -103,7 +103,7 @@ class DampingParameters(Parameters):
         return found
 
 
-#: Modulus below which a pole counts as that of a delay.
+#: Modulus below which a pole counts as a pole of a delay.
 AT_ZERO = 1e-3
 
 
@@ -232,7 +232,7 @@ def inner_loop(
 
 
 def require_force(kind: str, force: ForceParameters | None) -> None:
-    """Raise ParameterError for damping by the force without a model of the force."""
+    """Raise ParameterError for damping with force feedback if there is no model of the force."""
     if force is None or not force.there:
         remedy = (
             f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "
@@ -362,7 +362,7 @@ def damp(p, x, output, measured, force):
 
 @kernel
 def as_output(p, x, command):
-    """Return the output of the law [m] that corresponds to ``command`` [m], the last command as it was achieved."""
+    """Return the output of the law [m] that corresponds to ``command`` [m], the achieved value of the last command."""
     if p[SOURCE] == NOTHING:
         return command
     return x[OUTPUT] + (command - x[COMMAND_PLACE]) / p[DIRECT]

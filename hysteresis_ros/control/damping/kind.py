@@ -179,7 +179,7 @@ def in_parallel(systems) -> StateSpace:
 
 
 def require_filters(parameters, most: int, beside: tuple[str, ...]):
-    """Yield a Problem if there is no filter, if there are more than ``most``, or if numbers of filters are missing.
+    """Yield a Problem if there is no filter, if there are more than ``most``, or if arrays differ in length.
 
     ``beside`` contains the names of the arrays, in addition to ``frequencies``, that have one number per filter.
     """

@@ -38,10 +38,10 @@ the measured position. A design uses them if nothing is known about the plant at
 The first sample does not act as a step: I starts at the value that continues the command, and D starts at zero.
 
 Anti-windup uses the achieved command. The excess is the part of the last command that lies beyond the controller's own
-limits or those of the compensator. (The compensator reports the achieved command in ``x[APPLIED]``.) *clamping* stops
-the integral while it would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an
+limits or the limits of the compensator. (The compensator reports the achieved command in ``x[APPLIED]``.) *clamping*
+stops the integral while it would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an
 approximate inverse (Picard steps) the achieved command differs from the command even without saturation, so differences
-below a threshold do not count.
+below a threshold are ignored.
 
 A design places the zeros of the discrete PID on the slowest poles of the model. Then the loop transfer function is g/(z
 − 1) times the remaining dynamics. The response to the reference is close to a first-order lag, and its bandwidth
@@ -264,8 +264,8 @@ class PidParameters(Parameters):
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
     """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of 1.
 
-    The states are the two low-passes of the roll-off, if any, then the integral and the filtered derivative, as far as
-    their gains are not 0.
+    The states are the two low-passes of the roll-off, if any, then the integral and the filtered derivative, each only
+    if its gain is not 0.
     """
     a = parameters.decay(sample_time)
     slope = parameters.Kd * (1.0 - a) / sample_time
@@ -279,7 +279,7 @@ def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace
 def _rolled_off(controller: StateSpace, a: float) -> StateSpace:
     """Return the series of two low-passes with the pole ``a`` and a controller of the error."""
     b = 1.0 - a
-    rows = np.array([[b, -b], [b * b, -b * b]])  # of the filters' outputs in this sample
+    rows = np.array([[b, -b], [b * b, -b * b]])  # from (reference, measured) to the filters' outputs in this sample
     A = np.block(
         [
             [np.array([[a, 0.0], [a * b, a]]), np.zeros((2, controller.order))],
@@ -381,8 +381,7 @@ class Pid(Controller):
 
 #: Requirements of a purely integral controller.
 CALM = replace(REQUIRED, sensitivity_peak=1.4)
-#: Modulus below which poles count as those of a delay; if several poles are at 0, the error of computed poles is about
-#: this.
+#: Modulus below which poles count as poles of a delay: if several poles are at 0, computed poles have about this error.
 AT_ZERO = 1e-3
 #: Default cut-off of the derivative filter, as a fraction of the sampling frequency [rad/s].
 FILTER = 0.2
@@ -517,13 +516,13 @@ def _cancelling(given: PidParameters, dynamics, sample_time: float) -> Callable[
 
 
 def _judged(gains: PidParameters, dynamics, sample_time: float, plants, **options):
-    """Return the worst figures over the plants, or those of the model without plants."""
+    """Return the worst figures over the plants, or the figures of the model if there are no plants."""
     scale = dynamics.resolved_input_scale / dynamics.output_scale
     controller = pid_state_space(gains, sample_time).scaled(scale)
     return judge_worst(controller, plants or (PossiblePlant(plant_state_space(dynamics)),), sample_time, **options)
 
 
-@functools.lru_cache(maxsize=4)  # a search over bandwidths asks for the same gain each time
+@functools.lru_cache(maxsize=4)  # a search over bandwidths needs the same gain each time
 def _largest(given: PidParameters, dynamics, sample_time: float, plants, aimed: Requirements) -> float:
     """Return the largest gain g of the numerator with which the requirements are met on all plants."""
     gains, leading = _cancelling(given, dynamics, sample_time), dynamics.matrices.dc_gain

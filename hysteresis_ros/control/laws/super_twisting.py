@@ -127,7 +127,7 @@ def super_twisting(p, x, reference, measured):
 
 @dataclass(frozen=True)
 class SuperTwistingParameters(Parameters):
-    """Gains of the super-twisting controller, in the units of the model; the hyperplane is that of ``sliding_mode``."""
+    """Gains of the super-twisting controller, in the units of the model; ``sliding_mode`` defines the hyperplane."""
 
     gains: str = parameter(
         "from_bound",
@@ -167,7 +167,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
 
 @lru_cache(maxsize=16)
 def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the parameter array for ControllerParameters (read-only); without a sample time they are only checked.
+    """Return the parameter array for ControllerParameters (read-only); without a sample time, only to check them.
 
     ParameterError: the design fails; names are relative to the controller's parameters.
     """
@@ -177,7 +177,7 @@ def packed_super_twisting(parameters, sample_time: float | None = None) -> np.nd
     k1, k2 = twisting_gains(parameters.super_twisting, seconds)
     packed = packed.copy()
     n = parameters.model.dynamics.order
-    # K of the reaching law is Λ⁻¹ (S A − Φ S); that of the equivalent control is the same with Φ = 1
+    # K of the reaching law is Λ⁻¹ (S A − Φ S); K of the equivalent control is the same with Φ = 1
     packed[GAINS : GAINS + n] = gains.K - (1.0 - parameters.sliding_mode.phi) * gains.S / gains.switching_gain
     packed[ROOT_GAIN] = k1
     packed[STEP] = k2 * seconds

@@ -51,7 +51,7 @@ class NotchParameters(Parameters):
     width: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each denominator")
 
     def check(self):
-        """Yield a Problem if there is no filter, if there are too many, or if numbers of filters are missing."""
+        """Yield a Problem if there is no filter, if there are too many, or if the arrays differ in length."""
         yield from require_filters(self, MOST, ("damping", "width"))
 
 
@@ -61,7 +61,7 @@ def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
     Raises
     ------
     ParameterError
-        ``frequencies``: one of them is not below half the sample rate.
+        ``frequencies``: a frequency is not below half the sample rate.
     """
     require_below_half_the_rate(parameters.frequencies, sample_time)
     found = []

@@ -58,7 +58,7 @@ class PpfParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem if there is no filter, if there are too many, or if numbers of filters are missing."""
+        """Yield a Problem if there is no filter, if there are too many, or if the arrays differ in length."""
         yield from require_filters(self, MOST, ("damping", "gains"))
 
 
@@ -68,7 +68,7 @@ def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
     Raises
     ------
     ParameterError
-        ``frequencies``: one of them is not below half the sample rate.
+        ``frequencies``: a frequency is not below half the sample rate.
     """
     require_below_half_the_rate(parameters.frequencies, sample_time)
     found = []
