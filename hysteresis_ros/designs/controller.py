@@ -39,7 +39,8 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.models.linear import StateSpace
 
 NODE = "motion_controller"
-#: First lines of the comments that a new design replaces: LEARNING for a design of learning, HEADERS for any design.
+#: First lines of the comments that a new design replaces: LEARNING for a design of learning, FEEDFORWARD for a design
+#: of a feedforward, HEADERS for a design of a controller.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 FEEDFORWARD = ("# Feedforward designed by `hysteresis design", "# on the model of the stage:")
 HEADERS = (
@@ -51,7 +52,7 @@ HEADERS = (
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
-    """Return the flat parameters of the controller node: those of the file, with the groups that were designed.
+    """Return the flat parameters of the controller node: the parameters of the file, with the designed groups.
 
     A learned correction is removed, because its filters were designed for the previous controller.
     """
@@ -205,15 +206,15 @@ def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertaint
 #: Number of corners of a roll-off per decade; decades of corners below half the sample rate; steps of the search for
 #: the gain at each corner.
 CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
-#: A roll-off is used if it raises the gain of the integral by at least the factor WORTH. A requested bandwidth counts
-#: as reached at this fraction of it.
+#: A roll-off is used if it raises the gain of the integral by at least the factor WORTH. A requested bandwidth is
+#: reached if the achieved bandwidth is at least the fraction REACHED of it.
 WORTH, REACHED = 1.1, 0.97
 
 
 def rolled_off_design(
     first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float, bandwidth: float | None = None
 ) -> Designed | None:
-    """Return the certain integral controller with the largest gain over all corners of its roll-off, or None.
+    """Return the integral controller with the largest gain that :func:`is_certain`, over all roll-offs, or None.
 
     Units: ``sample_time`` [s]. ``quiet`` is the largest gain from the sensor's noise to the command, ``bandwidth`` the
     largest bandwidth [Hz].
@@ -373,8 +374,8 @@ def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Desi
     return None
 
 
-#: Poles with a smaller modulus are delays and not printed. The error of computed poles is about this large if several
-#: poles are at 0.
+#: Poles with a smaller modulus are delays and are not printed. If several poles are at 0, the error of the computed
+#: poles is about this large.
 AT_ZERO = 1e-3
 
 
@@ -400,14 +401,14 @@ class DesignRequest:
 
     controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
     bandwidth: float | None = None  #: [Hz]
-    q: float | None = None  #: Kalman filter: ratio of the variance of the input noise to that of the measurement noise.
+    q: float | None = None  #: Kalman filter: ratio of input noise variance to measurement noise variance.
     #: ``iae``, ``ise`` or ``itae``: criterion by which the gains are tuned on the waveform, if the law supports it.
     criterion: str | None = None
     duration: float | None = None  #: Length of the run for the tuning [s].
     feedforward: bool = False  #: Whether to add the inverse of the dynamics.
     preview: int | None = None  #: Samples of preview of the feedforward; by default as many as the inverse needs.
-    #: RMS of the sensor's noise [m], which limits the bandwidth if none is given; by default :data:`ASSUMED_NOISE` of
-    #: the stroke.
+    #: RMS of the sensor's noise [m]; it limits the bandwidth if no bandwidth is requested. By default it is
+    #: :data:`ASSUMED_NOISE` of the stroke.
     noise: float | None = None
     #: Plants that must meet the requirements. By default these are the model and, with damping, also plants whose
     #: resonances are 10 % lower or higher.
@@ -509,7 +510,7 @@ def _gains(
 
 
 def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest, criterion: str) -> Tuned:
-    """Return gains tuned on the waveform of the axis, starting from those of a design."""
+    """Return gains tuned on the waveform of the axis, starting from the gains of a design."""
     law, _ = design_of(request.controller)
     start = getattr(parameters, law.name)
     changed = {"feedforward": parameters.feedforward, "damping": parameters.damping, law.name: start}

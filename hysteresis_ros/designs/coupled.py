@@ -62,8 +62,8 @@ from hysteresis_ros.models.linear_algebra import product
 Uncertainties = Mapping[str, ResponseUncertainty]
 
 #: Fractions of the bandwidth of each axis alone that are tried if the loops of the other axes do not permit this
-#: bandwidth; with a damping, which is meant for a fast law, only the first AROUND of them. PEAKS are the largest M_s of
-#: weaker dampings.
+#: bandwidth. With a damping, which is meant for a fast law, only the first AROUND fractions are tried. PEAKS are the
+#: largest M_s of weaker dampings.
 SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
 #: Bandwidth of the slow axis of a raster, in multiples of its lines per second, or of the bandwidth of its path.
 CALM = 10.0
@@ -119,7 +119,7 @@ def with_written_scan(
     """Return the configuration of a stage in which another scan is written into the text of the file.
 
     ``values`` are the parameters of this scan, each ``NAME=VALUE``. If the file has fewer periods than ``periods``,
-    they are set to ``periods``; 0 in the file (endless) stays.
+    their number is set to ``periods``; 0 in the file (endless) is kept.
     """
     chosen: dict = {"kind": kind, "values": tuple(values)}
     own = StageParameters.from_configuration(configuration).stage.scan.periods
@@ -143,8 +143,8 @@ def design_controllers(
 ) -> dict[str, AxisDesign]:
     """Design the controllers of all axes, or of one axis, each for the model of its axis.
 
-    The controllers must meet the requirements also with the loops of all axes closed, and with a damping also for other
-    resonances. If they do not, the law is made slower, or a requested damping is weakened or omitted; each design
+    The controllers must meet the requirements also with the loops of all axes closed and, with a damping, also for
+    other resonances. If they do not, the law is made slower, or a requested damping is weakened or omitted; each design
     states why. The slow axis of a raster gets a slow law, unless a bandwidth is requested.
     """
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
@@ -206,7 +206,7 @@ def _adjusted_together(
     slower = f"the controller around the damping {kind} is slower" if kinds else "the controller is slower"
     ways = [(request, resonance, slower)]
     if request.damping not in (None, NONE):
-        # weaker dampings, then no damping; without it the law cancels resonances that the plant may have elsewhere
+        # weaker dampings, then no damping; without damping the law cancels resonances that the plant may have elsewhere
         ways += [
             (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
             for peak in PEAKS
@@ -233,7 +233,7 @@ def _adjusted_together(
 
 
 def _designed(parameters: StageParameters, request: DesignRequest, known: Uncertainties, bands) -> dict:
-    """Design the axes in ``bands``: for its bandwidths [Hz], or as requested if its values are not bandwidths."""
+    """Design the axes in ``bands``, each for its bandwidth [Hz], or as requested if its value is not a bandwidth."""
     found = {}
     for name, band in bands.items():
         asked = replace(request, bandwidth=band) if isinstance(band, float) else request
@@ -242,7 +242,7 @@ def _designed(parameters: StageParameters, request: DesignRequest, known: Uncert
 
 
 def with_designs(parameters: StageParameters, designs: Mapping[str, AxisDesign]) -> StageParameters:
-    """Return a stage in which the designed controllers replace those of their axes."""
+    """Return a stage in which the designed controllers replace the controllers of their axes."""
     axes = list(parameters.axes)
     for name, design in designs.items():
         place = parameters.place(name)
@@ -349,7 +349,7 @@ def design_stage_learning(parameters: StageParameters, request: LearningRequest,
         design = design_learning(axis, replace(request, period=period / rate), known.get(name))
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
         # averaged over the periods of this axis, because effects of another axis with a longer period differ between
-        # them
+        # these periods
         own = corrections[place].reshape(-1, period).mean(axis=0)
         own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
         largest = float(np.max(np.abs(own)))

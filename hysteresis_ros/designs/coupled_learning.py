@@ -22,7 +22,7 @@ harmonic from the model and from all runs:
 
 The corrections of the next run minimise the expected square of its error,
 
-    E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c],
+    E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c].
 
 This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest. With
 periods, the lifted matrices are diagonal in the harmonics. The covariance of T acts as a weight on the change of the
@@ -226,7 +226,7 @@ class Trial:
     correction: np.ndarray  #: shape (n, N) [m]
     error: np.ndarray  #: shape (n, N); Path minus measurement, averaged over the periods [m].
     variance: np.ndarray  #: shape (n, N // 2 + 1); Variance of ``numpy.fft.rfft`` of this error.
-    missing: np.ndarray  #: shape (n,); Samples without a measurement, which the average omits.
+    missing: np.ndarray  #: shape (n,); Number of samples without a measurement; the average omits them.
 
 
 def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
@@ -261,13 +261,13 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
     kernel = np.full(2 * SMOOTHED + 1, 1.0)
     weight = np.convolve(np.ones(spread.shape[1]), kernel, "same")
     smooth = np.array([np.convolve(row, kernel, "same") for row in spread]) / weight
-    # the spread of a single line may be larger than that of its neighbours
+    # the spread of a single line may be larger than the spread of its neighbours
     missing = np.count_nonzero(~known, axis=(1, 2))
     return Trial(np.asarray(correction, dtype=float), mean, np.maximum(smooth, spread / count), missing)
 
 
 def _require_measured(parameters: StageParameters, known: np.ndarray, first: int) -> None:
-    """Refuse a run with too many samples without a measurement, or one that has none at a sample of the scan.
+    """Refuse a run with too many missing measurements, or without any measurement at a sample of the scan.
 
     ``known`` has the shape (n, periods, N), and its first period is the period ``first`` of the run.
     """
@@ -301,7 +301,7 @@ class CoupledLearning:
 
     @classmethod
     def of(cls, parameters: StageParameters, request: LearningRequest) -> CoupledLearning:
-        """Prepare the learning of a stage; ranges, bandwidth and largest correction are those of the request."""
+        """Prepare the learning of a stage; ranges, bandwidth and largest correction come from the request."""
         require_no_feedforward(parameters)
         paths, rate = scanned_paths(parameters), parameters.sample_rate
         period = paths.shape[1]
@@ -439,7 +439,7 @@ def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[st
         period = one.error.shape[1]
         for name, error, variance, missing in zip(parameters.names, one.error, one.variance, one.missing, strict=True):
             rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
-            # rfft returns only half of the spectrum, so all amplitudes except that of the mean count twice
+            # rfft returns only half of the spectrum, so all amplitudes except the mean count twice
             noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
             omitted = f"; {missing} samples without a measurement are omitted" if missing else ""
             rows.append(

@@ -61,8 +61,8 @@ REFINED = 3
 GRID, AROUND = 120, 41
 #: Step with which frequencies are taken from the grid for the first test of a filter.
 FEW = 6
-#: Smallest damping ratio of any mode of the inner loop. A smaller ratio is allowed if it is at least MUCH times that of
-#: the plant's mode.
+#: Smallest damping ratio of any mode of the inner loop. A smaller ratio is allowed if it is at least MUCH times the
+#: damping ratio of the plant's mode.
 WELL, MUCH = 0.02, 5.0
 #: Allowance for rounded poles: a filter is rejected early only if its computed speed, times this factor, is below the
 #: best speed so far.
@@ -110,7 +110,7 @@ def design_damping(
     search = _Search(kind, dynamics, sample_time, plants, force, peak)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    # first search for filters that tolerate one more sample of delay; without such filters, for the modelled delay
+    # search for filters that tolerate one more sample of delay; if there are none, search with the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
@@ -295,7 +295,7 @@ def _around(box, point):
 
 #: A damping counts as of little use if it raises the bandwidth by less than this factor.
 LITTLE = 1.2
-#: A law that only passes the reference on, so that the inner loop alone remains.
+#: A law that only outputs the reference, so that the inner loop alone remains.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
 
 
@@ -342,7 +342,7 @@ class DampedDesign:
 
     @property
     def times(self) -> float:
-        """Ratio of the bandwidth to that of the same design without damping; infinite if there is no such design."""
+        """Bandwidth divided by the bandwidth of the same design without damping; infinite without such a design."""
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:

@@ -124,7 +124,8 @@ def response_run(
 def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
     """Return an excitation around an operating point, with ramps at its beginning and end, and its plan.
 
-    Units: ``peak`` [V], ``middle`` [V], ``rest`` [V], ``rate`` [Hz].
+    Units: ``rate`` [Hz]; ``peak``, ``middle`` and ``rest`` are in volts for an excitation of the voltage, else in
+    metres.
     """
     held = hold(middle, WAIT, rate)
     whole = there_and_back(np.concatenate([held, middle + peak * samples, held]), rest, rate)
@@ -220,8 +221,8 @@ class AxisResponse:
     plant: Analysis
     loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.
     model: np.ndarray | None = None  #: shape (F,); Response of the controller's model of the plant at the lines.
-    model_loop: np.ndarray | None = None  #: shape (F,)
-    margins: Margins | None = None  #: Margins of the loop of the model.
+    model_loop: np.ndarray | None = None  #: shape (F,); Loop of the controller with this model, at the lines.
+    margins: Margins | None = None  #: Margins of the controller with its own model.
 
     @property
     def figures(self) -> dict:
@@ -347,7 +348,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # conversely, the model is scaled to the measured gain
+    # here the model is scaled to the measured gain, not the measured response to the gain of the model
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
@@ -357,7 +358,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the path of the file next to a recording that contains the plan of the excitation."""
+    """Return the path of the file with the plan of the excitation; it is next to the recording."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
@@ -373,7 +374,7 @@ def read_plan(path) -> Plan:
 
 
 def contained_plan(recording: Recording) -> Plan | None:
-    """Return the plan of the excitation from the waveform of a recorded run; None without one."""
+    """Return the plan of the excitation from the waveform of a recorded run; None if there is no plan."""
     for content in available(recording.metadata.get("files", {})):
         with contextlib.suppress(OSError, ValueError, KeyError):
             return Plan.from_text(str(read_arrays(io.BytesIO(content), lambda name: name == "plan")["plan"]))
@@ -388,7 +389,7 @@ def recorded_response(
     period: float | None = None,
     kind: str | None = None,
 ) -> AxisResponse:
-    """Return the response of the axis in a recording; ``plan`` is by default the one that the recording contains."""
+    """Return the response of the axis in a recording; by default, the plan is found in the recording."""
     axis = _axis(recording)
     if plan is None and period is None and kind is None:
         plan = contained_plan(recording)

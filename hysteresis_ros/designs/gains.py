@@ -15,11 +15,11 @@ All random plants are drawn before the design, so equal seeds give equal gains. 
 corners of its uncertainty. Then the plant with the worst violation of the requirements is added to the search, until
 all plants meet them.
 
-The tuning never uses the simulated plant of the file, because a design must not know it. It uses a plant that consists
-of the compensator's hysteresis, creep and limits, and of the dynamics and preload of the controller's model, without
-noise. The inverse of this hysteresis is perfect, so that little more than linear dynamics and limits remains; the
-criterion alone would drive the gains to the stability limit. Therefore the cost is infinite for gains that violate the
-margins required of every design, or a delay margin of 1.3 samples.
+The tuning never uses the simulated plant of the file, because a design must not depend on it. It uses a plant that
+consists of the compensator's hysteresis, creep and limits, and of the dynamics and preload of the controller's model,
+without noise. The inverse of this hysteresis is perfect, so that little more than linear dynamics and limits remains;
+the criterion alone would drive the gains to the stability limit. Therefore the cost is infinite for gains that violate
+the margins required of every design, or a delay margin of 1.3 samples.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Robustness:
 
     @property
     def worst(self) -> int:
-        """Index of the first unstable plant; if all are stable, of the plant with the largest M_s."""
+        """Index of the first unstable plant; if all plants are stable, index of the plant with the largest M_s."""
         sizes = [found.sensitivity_peak if found.stable else float("inf") for found in self.margins]
         return sizes.index(max(sizes))
 

@@ -49,11 +49,11 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Default set of possible plants: 5 % uncertainty of the gain; 3 % more than that for all times, because of the
-#: identification; residual hysteresis after the inverse; and a fraction of a sample of delay.
+#: Default set of possible plants: 5 % uncertainty of the gain; 8 % of all times, 3 % more than of the gain because of
+#: the identification; residual hysteresis after the inverse; and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and largest difference between requested and applied command (saturation) at which learning goes
-#: on, as fractions of the stroke.
+#: Largest correction, and largest difference between command and achieved command (saturation) with which learning
+#: continues, as fractions of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
 #: Initial learning gain, number of periods after which the gain falls as 1/n, and its lower limit.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
@@ -86,8 +86,8 @@ class LearningRequest:
     """Options of a design of learning."""
 
     kind: str  #: ``inversion``, ``norm_optimal``, ``repetitive`` or ``coupled``.
-    period: float | None = None  #: Period of the reference [s]; by default that of the configured waveform.
-    #: Bandwidth of the learning [Hz]; by default the one with the least error, or the highest that contracts.
+    period: float | None = None  #: Period of the reference [s]; by default the period of the configured waveform.
+    #: Bandwidth of the learning [Hz]; by default the bandwidth with the least error, or the highest contracting one.
     bandwidth: float | None = None
     maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
@@ -161,9 +161,7 @@ class MeasuredPlant:
     """Ratio of the measured response of a plant to that of its model."""
 
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
-    ratio: (
-        np.ndarray
-    )  #: shape (F,); This ratio at the lines; outside their range, at() uses the ratio of the nearest line.
+    ratio: np.ndarray  #: shape (F,); Ratio at the lines; outside their range, at() uses the ratio of the nearest line.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
@@ -220,7 +218,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
     """Return the closed loop's commands, shape (count,), after an impulse, divided by :data:`TINY`.
 
     ``reference`` and ``measured`` are the sizes of the impulse in the reference and in the measurement: :data:`TINY` in
-    one of them, 0 in the other. ``model`` is the linear plant.
+    one signal, 0 in the other. ``model`` is the linear plant.
     """
     control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
@@ -294,11 +292,11 @@ def expected_error(
 ) -> Callable[[Filters], float] | None:
     """Return a function that predicts the RMS error [m] after :data:`LEARNED` periods of learning with given filters.
 
-    Return None if the sensor has no noise, because then the highest bandwidth loses nothing, or if the reference of the
-    axis does not repeat with the period, because then the error is unknown. The repeating error without learning is
-    taken from a run of the axis on its own plant. Errors of the inverse's model, and of a plant with another linear
-    response, are added according to the ranges of the possible plants. Learning converges to (1 − Q)/(1 − Q + G T) of
-    the repeating error, and adds the part of the noise that its averaging leaves.
+    The result is None if the sensor has no noise, because then the highest bandwidth is the best. It is also None if
+    the reference of the axis does not repeat with the period, because then the error is unknown. The repeating error
+    without learning is taken from a run of the axis on its own plant. Errors of the inverse's model, and of a plant
+    with another linear response, are added according to the ranges of the possible plants. Learning converges to (1 −
+    Q)/(1 − Q + G T) of the repeating error, and adds the part of the noise that its averaging leaves.
 
     Units: ``period`` [samples].
     """

@@ -9,11 +9,11 @@
 
 """Filters of the learned correction for a given closed loop: three designs, and the contraction of the error.
 
-T is the closed loop from reference to measured displacement for the model, T_p the same for another possible plant.
-From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at which |Q −
-G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all
-plants; if noise and repeating error are known, it chooses the lower bandwidth that leaves the least error. ε is
-:data:`UNSEEN`.
+T is the closed loop from reference to measured displacement for the model, T_p the same closed loop for another
+possible plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest
+bandwidth at which |Q − G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all
+frequencies and on all plants. If noise and repeating error are known, the design chooses the bandwidth with the least
+remaining error, which may be lower. ε is :data:`UNSEEN`.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -70,8 +70,8 @@ class Response(NamedTuple):
 
     model: np.ndarray  #: shape (m,); T on the model.
     possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
-    #: shape (m,); T on the identified model. It differs from ``model`` if that comes from a measured response, whose
-    #: noise seems never to decay in time.
+    #: shape (m,); T on the identified model. It differs from ``model`` if ``model`` comes from a measured response,
+    #: because the noise of such a response does not decay in time.
     identified: np.ndarray | None = None
     #: shape (m,); Response from the input of the plant to the displacement, in closed loop, on the identified model.
     pushed: np.ndarray | None = None
@@ -89,7 +89,7 @@ class Filters:
     robustness: np.ndarray  #: Taps of Q: the middle tap, then the taps on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
     contraction: float  #: Largest |Q − G T_p| + ε |G| over all frequencies and possible plants.
-    nominal: float  #: The same for the model alone.
+    nominal: float  #: The same quantity for the model alone.
     worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
     #: Highest contracting bandwidth, as a fraction of the sample rate, if ``bandwidth`` is lower because it leaves less
     #: error; else 0.
@@ -125,7 +125,7 @@ def design_filters(
     sample_rate: float = 1.0,
     error: Callable[[Filters], float] | None = None,
 ) -> Filters:
-    """Return contracting filters: of the requested bandwidth, of the highest one, or of the least ``error``.
+    """Return contracting filters with the requested bandwidth, with the highest bandwidth, or with the least ``error``.
 
     Units: ``period`` [samples], ``sample_rate`` [Hz].
     """

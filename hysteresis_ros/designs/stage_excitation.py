@@ -154,7 +154,7 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
     if N < 32:
         raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples a period")
     if asked.one_by_one:
-        # for each axis in turn, one column of periods
+        # the axes take turns: each realisation excites one axis
         single = orthogonal_multisines(1, N, lines, realisations, asked.seed)[:, :, 0]
         table = np.zeros((realisations, N, count))
         turn = np.arange(realisations) % count

@@ -17,9 +17,9 @@ addition to F is
 
 On the unit circle, G⁻¹ is bounded even if G has zeros outside the unit circle: the impulse response of G⁻¹ then extends
 into the future, and preview makes this non-causal inverse possible. Weighted least squares approximate X by an impulse
-response of N samples in both directions. Up to the band the weight is (band / f)², because references contain less at
-high frequencies; beyond the band X is kept small, because the model is not known there. The weights add up to 0
-exactly: at rest, the matrix ``decoupling`` alone decouples the axes.
+response of N samples in both directions. Up to the band the weight is (band / f)², because references have smaller
+amplitudes at high frequencies; beyond the band X is kept small, because the model is not known there. The weights add
+up to 0 exactly: at rest, the matrix ``decoupling`` alone decouples the axes.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from hysteresis_ros.units import readable
 #: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate. If no
 #: preview is long enough for the band, the band is reduced by the factor NARROWER, at most STEPS times.
 BAND, NARROWER, STEPS = 0.1, 0.8, 10
-#: Largest coupling that may remain up to the band, and step [samples] in which a design increases the preview until it
-#: is reached.
+#: Largest coupling that may remain up to the band, and step [samples] by which a design increases the preview until the
+#: coupling is small enough.
 REMAINING, STEP = 1e-3, 2
 #: Static coupling that may be left to the feedback.
 AT_REST = 0.01
@@ -85,7 +85,7 @@ class StageFeedforward:
 def design_stage_feedforward(
     parameters: StageParameters, preview: int | None = None, band: float | None = None
 ) -> StageFeedforward:
-    """Design the feedforward of a stage up to a band [Hz]; the controllers of the stage stay.
+    """Design the feedforward of a stage up to a band [Hz]; the controllers of the stage do not change.
 
     The preview is the shortest one with which the coupling of the model is at most 0.1 % up to the band. By default the
     band is a tenth of the sample rate, or less if no preview is long enough. If no feedforward can be designed, a
@@ -115,7 +115,7 @@ def design_stage_feedforward(
 
 
 def _model(axis, rate: float):
-    """Return the model of an axis behind its damping."""
+    """Return the model of an axis with its damping."""
     return part(axis.motion_controller, ControllerParameters).before_damping(1.0 / rate).model.dynamics
 
 
@@ -250,7 +250,7 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
 
 
 def _largest(parameters: StageParameters, run, first: int, what: str) -> VoltageSteps:
-    """Return the largest change of a voltage from sample ``first`` on, as a fraction of its range, over all axes."""
+    """Return the largest change of a voltage from sample ``first`` on, relative to its range, over all axes."""
     rows = []
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         limits = axis.hysteresis_compensator.limits
@@ -262,7 +262,7 @@ def _largest(parameters: StageParameters, run, first: int, what: str) -> Voltage
 
 
 def require_gentle_steps(steps: list[VoltageSteps]) -> None:
-    """Refuse a feedforward that needs the whole range in one sample, or for a setpoint more than the slew rate."""
+    """Refuse a feedforward that needs the whole range in one sample, or exceeds the slew rate for a setpoint."""
     for step in steps:
         if step.asked >= step.span or (step.asked > step.allowed and step.what.startswith("a setpoint")):
             allowed = f"{step.allowed:.3g} V" if step.asked < step.span else f"less than the range of {step.span:.3g} V"

@@ -9,8 +9,8 @@
 
 """Response matrix of a stage: the run that measures it, the matrix from a recording, its table and its files.
 
-Noise and distortion of an entry are the standard deviations of the entry that they cause, averaged over the
-realisations.
+Noise and distortion of an entry are standard deviations: those that they cause in the entry after it is averaged over
+the realisations.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class StageResponse:
         return np.median(10.0 * np.log10(np.maximum(power, 1e-300)), axis=0)
 
     def require_excited(self) -> None:
-        """Refuse a response in which one of the actuators causes less motion than the noise of every sensor."""
+        """Refuse a response in which an actuator causes less motion than the noise of every sensor."""
         for name, best in zip(self.names, self.ratio.max(axis=0), strict=True):
             if best < LEAST_RATIO:
                 raise IdentificationError(
@@ -109,7 +109,7 @@ class StageResponse:
                 )
 
     def _pairs(self) -> Iterator[tuple[str, int, int]]:
-        """Return each input with all outputs: name of the pair, index of the output, index of the input."""
+        """Yield each pair of input and output: name of the pair, index of the output, index of the input."""
         for j, source in enumerate(self.names):
             for i, target in enumerate(self.names):
                 yield f"{target}_from_{source}", i, j
@@ -196,10 +196,10 @@ class StageResponse:
 def stage_response_run(
     configuration: Configuration, amplitude: str | None, period: float | None, more: dict[str, Any], path
 ) -> tuple[ExcitedStage, Plan]:
-    """Return the stage that plays orthogonal multisines, and the plan that describes them in its recording.
+    """Return the stage that outputs orthogonal multisines, and the plan that describes them in a recording.
 
-    ``amplitude`` is the peak of the multisines as a fraction of each range, ``period`` [s] their period; ``more`` has
-    further settings of the excitation.
+    ``amplitude`` is the peak of the multisines as a fraction of each range, and ``period`` [s] is their period;
+    ``more`` contains further settings of the excitation.
     """
     asked = StageExcitation(frequency=None if period is None else 1.0 / period, **more)
     if amplitude is not None:
@@ -290,7 +290,7 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
 
 
 def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
-    """Return the response of each level from its other realisations, and the held-out realisations."""
+    """Return the response of each level without its held-out realisations, and the held-out realisations."""
     m, found, judged = data.u.shape[2], [], []
     for chosen in data.levels:
         if len(chosen) < m + held_out:
@@ -354,8 +354,8 @@ def command_responses(
 ) -> dict[str, Analysis]:
     """Return the response of each axis of a stage from its decoupled command, by the names of the axes.
 
-    Each response is marked as a response from a voltage, so that it is scaled to the gain of the model: the gain of
-    small movements is different.
+    Each response is marked as a response from a voltage, so that it is scaled to the gain of the model, because small
+    movements have a different gain.
     """
     if names != parameters.names:
         raise ConfigurationError(

@@ -16,8 +16,8 @@
    from each actuator to its own sensor, which makes the inputs of the structure displacements [m]. The hysteresis of
    each actuator is identified from loops in which it moves alone. ``internal``: one structure that contains the
    hysteresis, fitted to all levels.
-3. Decoupling: the inverse of the static gain. Model of each axis: linear dynamics fitted to its entry of the decoupled
-   response, with the measured uncertainty.
+3. Decoupling: the inverse of the static gain. The model of each axis is fitted to the entry of this axis in the
+decoupled response; it is linear and has the measured uncertainty.
 4. Controllers: designed for these models and the measured noise.
 """
 
@@ -95,8 +95,8 @@ STEPS, LAST_STEPS = 15, 100
 RADIUS = 1.0 - 1e-5
 #: Real poles slower than this multiple of the lowest line count as creep and are not part of the structure.
 CREEPING = 10.0
-#: A loop is slow because of its response if the relative uncertainty of the response exceeds UNSURE at a frequency up
-#: to NEAR times the bandwidth.
+#: The measured response is the reason for a slow loop if its relative uncertainty exceeds UNSURE at a frequency up to
+#: NEAR times the bandwidth.
 UNSURE, NEAR = 0.5, 2.0
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
@@ -131,7 +131,7 @@ class StageRequest:
     noise : float, optional
         RMS noise of the sensors [m] for the design; by default the measured noise.
     resting_noise : tuple of float
-        RMS noise of each sensor [m], measured at rest. If empty, the noise is that of the recording, where every
+        RMS noise of each sensor [m], measured at rest. If empty, the noise is estimated from the recording, where every
         irregularity of the excitation also counts as noise.
     response : path-like, optional
         For type ``hammerstein``: the response matrix that ``hysteresis frf`` wrote for the stage (NPZ). The structure
@@ -184,12 +184,12 @@ class _Plant:
     structure: StructureParameters
     delay: int  #: Delay of each actuator in whole samples.
     gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs for small motions [m/V].
-    hysteresis: tuple[workflow.Identified | None, ...]  #: Of each actuator; None: it is proportional.
+    hysteresis: tuple[workflow.Identified | None, ...]  #: For each actuator; None: the actuator is proportional.
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
-#: If the held-out data have more than this multiple of the gain of the written file, a design considers their gain. A
-#: gain that is smaller by the same factor is only stated.
+#: If the gain of the held-out data exceeds the gain of the written file by more than this factor, a design considers
+#: the gain of the data. A gain that is smaller by the same factor is only reported.
 DEVIATING = 1.1
 
 
@@ -221,7 +221,7 @@ class HeldOut:
 
     @property
     def shapes(self) -> np.ndarray:
-        """RMS error of each output [m] after its prediction is multiplied by this factor."""
+        """RMS error of each output [m] after its prediction is multiplied by the factor in ``gains``."""
         return np.sqrt(np.mean((self.gains * self.predicted - self.measured) ** 2, axis=0))
 
 
@@ -276,7 +276,7 @@ class IdentifiedStage:  # numpydoc ignore=PR02
         Raises
         ------
         IdentificationError
-            It cannot be written.
+            The file cannot be written.
         """
         write_file(path, self.text)
 
@@ -449,7 +449,7 @@ def _linear_response(plant: _Plant, frequency: np.ndarray) -> np.ndarray:
 
 
 def _lost(gain: np.ndarray, found: ResponseMatrix, names) -> str:
-    """Return the combination of actuators that moves no sensor, or no more than the uncertainty of the gain."""
+    """Return the combination of actuators that moves no sensor by more than the uncertainty of the gain."""
     left, sizes, right = np.linalg.svd(gain)
     response = found.response
     # the lowest lines determine the static gain
@@ -747,7 +747,7 @@ def _copied(nodes: dict) -> dict:
 
 
 def put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
-    """Return the text of a stage with the decoupling, compensators, controllers and references of another one.
+    """Return the text of a stage with the decoupling, compensators, controllers and references of another stage.
 
     A simulated stage keeps its plant. A stage of devices uses its plant only in simulations and designs, so its plant
     is replaced by the identified one.
@@ -777,7 +777,7 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
             values = dict(designed.node(node, f"/{name}"))
             values = {key: value for key, value in values.items() if key not in ("joint", "sample_rate")}
             if node == "hysteresis_compensator":
-                # where the stage has limits of its own, they stay
+                # the stage keeps its own limits
                 own = axis.hysteresis_compensator.limits
                 values |= {"limits.minimum": own.minimum, "limits.maximum": own.maximum}
                 if own.slew_rate > 0.0:
@@ -838,7 +838,7 @@ def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[
 
 
 def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
-    """Return the uncertainty of each axis' model from its measured response, if that has a variance."""
+    """Return the uncertainty of each axis' model from its measured response, if this response has a variance."""
     found = {}
     for name, axis, analysis in zip(parameters.names, parameters.axes, analyses, strict=True):
         response = analysis.response
@@ -850,10 +850,10 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
 
 
 def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncertainties, list[str]]:
-    """Return uncertainties with gains that the held-out data show to exceed those of the file, and texts about them.
+    """Return uncertainties with the held-out gains that exceed the gains of the file, and a warning for each one.
 
-    If the actuators have hysteresis of another class, the model identified from slow loops has a wrong gain for small,
-    fast movements.
+    If the actuators have hysteresis of another class than the model, the model identified from slow loops has a wrong
+    gain for small, fast movements.
     """
     found, said = dict(known), []
     for name, gain in zip(names, held_out.gains, strict=True):
@@ -886,7 +886,7 @@ def design_identified(
             source = parse_configuration(text, "the identified stage")
             require_stable(with_designs(parameters, designs), source.source)
             warnings = _measured(designs, analyses) + _too_slow(designs, analyses, noise)
-            # the same for all axes
+            # each reason occurs once, because it is the same for all axes
             reasons = dict.fromkeys(design.together for design in designs.values() if design.together)
             warnings += [f"all loops together: {reason}" for reason in reasons]
             return controllers_file(source, designs, words), designs, warnings

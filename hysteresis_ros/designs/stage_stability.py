@@ -9,10 +9,10 @@
 
 """Check that the loops of a stage are stable and robust together; the message states a remedy if they are not.
 
-The design of an axis does not consider the other loops. Together, the loops must meet the requirements that each of
-them meets alone: M_s ≤ 2, and stability with one more sample of delay. M_s of all loops is the structured singular
-value of S = (I + L)⁻¹ for an independent factor in each loop, which is the inverse of the disk margin of skew 1.
-Without coupling it is the largest M_s of the single loops. If it is at most 2, all loops tolerate 6 dB more gain at the
+The design of an axis does not consider the other loops. Together, the loops must meet the requirements that each loop
+meets alone: M_s ≤ 2, and stability with one more sample of delay. M_s of all loops is the structured singular value of
+S = (I + L)⁻¹ for an independent factor in each loop, which is the inverse of the disk margin of skew 1. Without
+coupling, this M_s is the largest M_s of the single loops. If it is at most 2, all loops tolerate 6 dB more gain at the
 same time, in any combination.
 """
 
@@ -35,7 +35,8 @@ from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.scan import rounded_down
 
-#: If the stage's gain at rest differs from that of its axes' models by more than this fraction, no bandwidth helps.
+#: If the gain of the stage at rest differs from the gains of its axes' models by more than this fraction, a lower
+#: bandwidth is not the remedy.
 WRONG_GAIN = 0.5
 #: Factor between steps of the search for the largest stable gain, number of steps, and fraction of that gain that is
 #: used.
@@ -50,7 +51,7 @@ def gain_at_rest(parameters: StageParameters) -> np.ndarray:
 
 
 def right_decoupling(parameters: StageParameters) -> str:
-    """Return the parameter file's entry for the decoupling with which no axis moves another one at rest."""
+    """Return the parameter file's entry for the decoupling with which no axis moves another axis at rest."""
     right = product(parameters.stage.matrix("decoupling"), static_decoupling(gain_at_rest(parameters)))
     return f"decoupling: [{', '.join(f'{value:.6g}' for value in right.ravel())}]"
 
@@ -61,8 +62,8 @@ def require_stable(parameters: StageParameters, source: str) -> None:
     Raises
     ------
     ConfigurationError
-        The message gives the decoupling if the gain at rest of the stage differs from that of the models of its axes.
-        Otherwise it gives the bandwidth of controllers that tolerate 6 dB more gain.
+        The message gives the decoupling if the gain of the stage at rest differs from the gains of the models of its
+        axes. Otherwise it gives the bandwidth of controllers that tolerate 6 dB more gain.
     """
     loop = stage_loop(parameters)
     if _stable(loop, 1.0):
@@ -110,7 +111,10 @@ def slower_structure(parameters: StageParameters, slowness: float) -> StageParam
 
 
 def unmet_together(parameters: StageParameters, resonance: float = 0.0) -> str:
-    """Return the requirement that all loops together miss, also if the resonances deviate by this fraction, or ""."""
+    """Return the requirement that all loops together miss, or an empty text.
+
+    If ``resonance`` is above 0, resonances that are lower and higher by this fraction are checked too.
+    """
     stage, count = parameters.stage, len(parameters.names)
     # if the structure contains the hysteresis, it has no separate resonances that could be changed
     varied = resonance > 0.0 and stage.type == HAMMERSTEIN and stage.structure.order > 0
