@@ -67,7 +67,7 @@ class ChangeLog:
             self.changes.append(entry)
 
     def _configure(self, node: str, parameters) -> None:
-        """Take the parameters of a node before its first sample."""
+        """Store the parameters with which a node was configured before its first sample."""
         own = [entry for entry in self.changes if entry.get("node") == node]
         if isinstance(parameters, dict) and not any(entry.get("sample") for entry in own):
             self.parameters[node] = parameters
@@ -156,7 +156,7 @@ def _stage(bag: Bag) -> tuple[str, tuple[str, ...]] | None:
 
 
 def _align_stage(bag: Bag, namespace: str, names: tuple[str, ...], further: bool) -> Recording:
-    """Return the recording of a stage, with those samples that all axes have."""
+    """Return the recording of a stage, with the samples that all axes have in common."""
     axes = {name: align(bag, f"{namespace}/{name}", further=further) for name in names}
     stamps = {
         name: one.metadata["start_time_ns"] + np.rint(1e9 * one.time).astype(np.int64) for name, one in axes.items()
@@ -192,7 +192,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
 
     The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have the same stamp, by which they
     are matched. Without them, ``joint_states`` and the Float64 topics are used: a topic with one message per sample is
-    matched by count; of any other topic, a sample gets the last message before the next sample. Without a simulated
+    matched by count; for any other topic, each sample gets the last message before the next sample. Without a simulated
     plant the true displacement is unknown: its column is then the measured displacement, and a note states this.
     """
     prefix = choose_namespace(bag, namespace)
@@ -243,7 +243,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
 
 
 def _tolerance(configuration: str, log: ChangeLog, prefix: str) -> float:
-    """Return the rounding between requested and output voltage [V]; infinite: unknown."""
+    """Return the largest difference between requested and output voltage due to rounding [V]; infinite if unknown."""
     given = [log.parameters.get(node) or configured(configuration, node, prefix) for node in (PLANT, COMPENSATOR)]
     return output_tolerance(*given)
 
@@ -274,7 +274,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
 
 
 def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
-    """Return the signals that are not columns of a run: with ``further`` all, otherwise those that are not empty."""
+    """Return further signals: all with ``further``, otherwise only late voltages, stops, force and triggers, if any."""
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
@@ -292,7 +292,7 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
 
 
 def _within_run(stamps, columns: dict, notes: list[str]):
-    """Return the samples from the first to the last reference: an external plant also measures before and after."""
+    """Return the samples from the first to the last reference; an external plant also measures outside the run."""
     there = np.flatnonzero(np.isfinite(columns["reference"])) if "reference" in columns else np.zeros(0, dtype=int)
     if not there.size:
         return stamps, columns
@@ -303,7 +303,7 @@ def _within_run(stamps, columns: dict, notes: list[str]):
 
 
 def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:
-    """Return the columns of a run in ``~/state`` messages, each from the first node that has it."""
+    """Return the columns of a run in ``~/state`` messages, each column from the first node that contains it."""
     columns = {}
     for name in COLUMNS:
         for node, signal in sources(name):
@@ -371,7 +371,7 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
-    """Return the last readable configuration; others are skipped, because any node may publish on the topic."""
+    """Return the last readable configuration; other messages are skipped, because any node may publish on the topic."""
     name = f"{prefix}/configuration"
     topic = bag.of_type(name, cdr.STRING)
     messages = topic.data if topic else ()
@@ -388,7 +388,7 @@ def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
-    """Return the messages of a topic and their rows; if stamps decrease between runs, only those of the longest run."""
+    """Return the messages of a topic and their rows; if stamps decrease between runs, only the longest run."""
     topic = bag.of_type(name, cdr.JOINT_STATE)
     if topic is None:
         return None, np.zeros(0, dtype=np.int64)
@@ -402,7 +402,7 @@ def _one_run(bag: Bag, name: str, notes: list[str]):
 
 
 def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
-    """Return ``values`` on the grid ``stamps``, NaN for a missing message; of repeated messages the last counts."""
+    """Return ``values`` on the grid ``stamps``, NaN for a missing message; the last of repeated messages is used."""
     found = np.full(stamps.size, np.nan)
     place = np.searchsorted(stamps, source_stamps)
     inside = place < stamps.size
@@ -445,7 +445,7 @@ def _held(values: np.ndarray, topic: Topic, until: np.ndarray) -> np.ndarray:
 
 
 def _without_tail(stamps, columns, present, notes):
-    """Remove samples at the end of which the recorder has not received all messages."""
+    """Remove the last samples if the recorder has not received all of their messages."""
     whole = np.ones(stamps.size, dtype=bool)
     for name in present:
         if np.any(np.isfinite(columns[name])):
@@ -487,7 +487,7 @@ def _missing(stamps, columns, present, notes):
 
 
 def _recorded(bag: Bag, prefix: str) -> int:
-    """Return the time of reception of the first sample [ns, wall clock]; 0 without a clock."""
+    """Return the time of reception of the first sample [ns, wall clock]; 0 if no clock was recorded."""
     topic = bag.of_type(f"{prefix}/joint_states", cdr.JOINT_STATE)
     first = topic.times[0] if topic and topic.times else 0
     return first if first > CLOCK else 0

@@ -146,7 +146,7 @@ class McapIndex:
         return places, bytes(index)
 
     def tail(self, begin: int) -> bytes:
-        """Return the bytes after the data, which end at offset ``begin``: end of data, summary and footer."""
+        """Return the bytes after the data: end of data, summary and footer; the data end at offset ``begin``."""
         head = packed(DataEnd(0))
         groups = [
             (Opcode.SCHEMA, [packed(record) for record in self.schemas.values()]),
@@ -185,7 +185,7 @@ class McapIndex:
 
 METADATA = "metadata.yaml"
 
-#: Top-level key.
+#: Top-level key of ``metadata.yaml``.
 INFORMATION = "rosbag2_bagfile_information"
 
 VERSION = 9

@@ -209,7 +209,7 @@ def _unpacked(data: bytes, compression: bytes, most: int) -> bytes:
     return data if compression == b"" else b""
 
 
-#: Tables in a bag of ``ros2 bag``; older versions have fewer.
+#: Tables in a bag of ``ros2 bag``; older versions have fewer tables.
 TABLES = ("schema", "metadata", "message_definitions", "topics", "messages")
 
 

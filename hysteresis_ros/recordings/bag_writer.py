@@ -228,7 +228,7 @@ class ChunkStorage(McapWriter):
                 if left:
                     left[0] = left[0][written:]
         except BaseException:
-            # a truncated record would hide all later ones
+            # a truncated record would hide all later records
             with contextlib.suppress(OSError):
                 self.bio.seek(whole)
                 self.bio.truncate()
@@ -250,7 +250,7 @@ class ChunkStorage(McapWriter):
 
 
 class ChunkedWriter(Writer):
-    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, with one file or several consecutive ones."""
+    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, with one file or several consecutive files."""
 
     STORAGE_PLUGINS = MappingProxyType({**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChunkStorage})
 
@@ -272,7 +272,7 @@ class ChunkedWriter(Writer):
         return storage
 
     def next_file(self) -> None:
-        """Finish the file; pending messages go to the next one."""
+        """Finish the file; pending messages go to the next file."""
         before = self.file
         after = ChunkStorage(self.path, CompressionMode.NONE)
         try:
@@ -341,8 +341,8 @@ class BagWriter:
     minutes to fill a chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay
     readable.
 
-    With ``max_bag_size`` or ``max_bag_duration`` the folder contains ``NAME_0.mcap``, ``NAME_1.mcap`` …, split as by
-    ``ros2 bag record``: each file is complete by itself, and the folder is read as one recording.
+    With ``max_bag_size`` or ``max_bag_duration`` the folder contains ``NAME_0.mcap``, ``NAME_1.mcap`` …, as with ``ros2
+    bag record``: each file is complete by itself, and the folder is read as one recording.
     """
 
     def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES, max_bag_size: int = 0, max_bag_duration: float = 0.0):
@@ -454,7 +454,7 @@ class BagWriter:
         self.write(topic, cdr.STRING, cdr.encode_string(text), time_ns)
 
     def write_joint_state(self, topic: str, stamp_ns: int, names, positions, time_ns: int | None = None) -> None:
-        """Write a sensor_msgs/JointState with ``names`` and ``position``; by default received at its stamp."""
+        """Write a sensor_msgs/JointState with ``names`` and ``position``; ``time_ns`` is by default its stamp."""
         key = (topic, tuple(names))
         encoder = self._encoders.get(key)
         if encoder is None:
@@ -525,7 +525,7 @@ class BagWriter:
         return self._writer
 
 
-#: Interval of checks of the disk [s].
+#: Interval between checks of the disk [s].
 LOOK = 1.0
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Serialised messages of bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
+"""Serialised messages of bags (CDR), encoded and decoded with the Jazzy types of ``rosbags``.
 
 A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
 usually share one layout, which follows from the first decoded message. If every significant byte of the layout agrees
@@ -223,6 +223,6 @@ def _joint_state_layout(raw: bytes) -> _Layout:
         cursor += -(cursor - 4) % 8
     offset = cursor
     cursor += 8 * count
-    # equal sizes with equal lengths of velocity and effort mean equal layout
+    # messages of equal size have equal layouts if velocity has the same length, because then effort has too
     length()
     return _Layout(len(raw), offset, count, significant)

@@ -150,7 +150,7 @@ class Recording:
     def sample_time(self) -> float:
         """Sample time [s], missing samples included; NaN with fewer than two samples.
 
-        It is the duration divided by the number of samples, because stamps are whole nanoseconds: the rounding of a
+        It is the duration divided by the number of intervals, because stamps are whole nanoseconds: the rounding of a
         single interval would add up to an error of one sample over 10⁶ samples.
         """
         if len(self) < 2:
@@ -205,7 +205,7 @@ def _first(mask) -> int:
 
 
 def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
-    """Return the largest difference of requested and output voltage by rounding [V]; infinite: unknown."""
+    """Return the largest difference between requested and output voltage due to rounding [V]; infinite if unknown."""
     try:
         # a device rounds internally, and reports the voltage before rounding
         own = 0.0 if plant.get("driver") else _step(plant)
@@ -219,8 +219,8 @@ def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, toler
 
     Row k of the plant's state contains the output for the requested voltage of sample k. If the two differ by more than
     the converters' rounding, ``voltage`` becomes the output, ``saturated`` becomes 1, and ``asked_voltage`` keeps the
-    requested voltage; a run without such samples has no ``asked_voltage``. A late voltage is not a limit: the output is
-    then the previous voltage, and ``saturated`` does not change.
+    requested voltage; a run without such samples has no ``asked_voltage``. A late voltage does not count as saturation:
+    the output is then the previous voltage, and ``saturated`` does not change.
     """
     if "voltage" not in signals:
         return

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reading and writing of recordings, whose format follows from the path; CSV and NPZ are read back bit for bit.
+"""Reading and writing of recordings; the path selects the format, and CSV and NPZ are read back bit for bit.
 
 The modules for bags are imported only when a bag is opened.
 """
@@ -94,7 +94,7 @@ def write_npz(recording: Recording, path) -> None:
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
     with (
         replacing(path, RecordingError) as beside,
-        # a fast level: that of numpy.savez_compressed takes longer than a simulation, and the file is hardly smaller
+        # a fast level: the level of numpy.savez_compressed takes longer than a simulation, for a hardly smaller file
         zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
         for name, array in arrays.items():
@@ -103,7 +103,7 @@ def write_npz(recording: Recording, path) -> None:
 
 
 def read_npz(path) -> Recording:
-    """Read an NPZ written by :func:`write_npz`, or one with one-dimensional arrays that have known column names."""
+    """Read an NPZ written by :func:`write_npz`, or an NPZ of one-dimensional arrays with known column names."""
     path = _existing(path)
     try:
         arrays = read_arrays(path)

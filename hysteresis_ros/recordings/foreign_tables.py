@@ -106,7 +106,7 @@ class Clock:
 
 
 def mend_clock(time: np.ndarray, signals) -> Clock:
-    """Return the corrected time axis of a column of times.
+    """Return the corrected time axis from a column of times.
 
     Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid. If times are
     not rounded, a row with the same time as the previous row is omitted, whether its values are the same or not.
@@ -166,9 +166,9 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
 
 #: Number of bytes used to detect the layout.
 HEAD = 1 << 18
-#: Lines read at a time.
+#: Number of lines that are read at a time.
 BLOCK = 100_000
-#: Number of rows, at the end of these bytes, from which delimiter and width are detected.
+#: Number of rows, at the end of the first HEAD bytes, from which delimiter and width are detected.
 TELLING = 200
 #: Largest fraction of damaged rows in a table.
 DAMAGED = 0.01
@@ -393,7 +393,7 @@ def _numbers(lines, layout, wanted, line_number, damaged):
 
 #: Length of the header before the first element [bytes]; the last four bytes are version and byte order.
 HEADER = 128
-#: Byte order by the last four bytes of the header; the same bytes of HDF5 files (since MATLAB 7.3).
+#: Byte order by the last four bytes of the header; last four bytes of the header of HDF5 files (since MATLAB 7.3).
 ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
 #: Types of elements; the last entry has all valid types.
 INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
@@ -573,7 +573,7 @@ def open_table(path) -> Table:
     """Open a text table, an NPZ or a MATLAB file.
 
     Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
-    before the table are skipped, but the last of them may name the columns (``name`` or ``name [unit]``). Columns
+    before the table are skipped, but the last such line may name the columns (``name`` or ``name [unit]``). Columns
     without names are called ``1``, ``2`` … Cells that are not numbers become NaN.
     """
     path = pathlib.Path(path)
@@ -673,7 +673,7 @@ def _chosen(table, choice, declared):
 
 
 def _declared(names) -> dict[str, str | None]:
-    """Return the units that the names declare; names may be those of fields of structures."""
+    """Return the units that the names declare; a name may include the structure of a field (``scan.time_s``)."""
     return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 #: Smallest reversal of the input that counts, as a fraction of its range; smaller reversals are noise or quantisation.
 REVERSAL = 0.01
-#: Smallest reversals, tried in order until branches are found.
+#: Values for the smallest reversal, tried in order until branches are found.
 REVERSALS = (REVERSAL, 0.03, 0.1)
 #: Least number of different input values of a branch; a jump between two levels is not a branch.
 BRANCH_LEVELS = 10
@@ -31,7 +31,7 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
     moving = np.flatnonzero(change)
     turns = moving[np.flatnonzero(np.diff(np.sign(change[moving]))) + 1] if moving.size > 1 else moving[:0]
     places = [0, *turns.tolist(), u.size - 1]
-    values = u[places].tolist()  # Python compares its own numbers ten times as fast as those of an array
+    values = u[places].tolist()  # Python compares its own numbers ten times as fast as numbers of an array
     points, direction, extreme = [0], 0, 0  # extreme, low and high are indices into places
     low = high = 0
     for k, value in enumerate(values[1:], start=1):
@@ -54,7 +54,7 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
 
 
 def loop_opening(u, y) -> float | None:
-    """Return the largest vertical width of the loops of ``y`` over ``u``, in the unit of ``y``.
+    """Return the largest vertical width of the loops of ``y`` versus ``u``, in the unit of ``y``.
 
     Two consecutive branches (one rising, one falling) enclose a loop; the width of the loop at an input is the
     difference between the outputs of the two branches. The result is the largest width over all common inputs and all
@@ -65,7 +65,7 @@ def loop_opening(u, y) -> float | None:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    # noise may exceed the smallest reversal; the branches between such reversals are too short, so a larger one is
+    # noise may exceed the smallest reversal; the branches between such reversals are too short, so a larger reversal is
     # tried
     return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
 

@@ -29,7 +29,8 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError, Recording
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
-#: Nodes whose parameters define an axis and are in its change log; and an optional node, which has no change log.
+#: Nodes whose parameters define an axis and are in the change log of the axis; and an optional node, which has no
+#: change log.
 LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
 OPTIONAL = ("displacement_camera",)
 
@@ -62,7 +63,7 @@ def configured(text: str, node: str, namespace: str = "") -> dict:
 def in_force(recording: Recording) -> str:
     """Return the parameter file with the actual parameters of the nodes of a recording.
 
-    These parameters are from the change log of the nodes, which also contains values of the command line and changes
+    These parameters are from the change log of the nodes, which also contains values from the command line and changes
     before the first sample.
     """
     text = recording.configuration
@@ -146,7 +147,7 @@ def require_same(name: str, text: str) -> None:
 
 
 def available(words: Mapping[str, str]) -> Iterator[bytes]:
-    """Yield the contents of the files of a run: those in the recording, and large ones unchanged on this disk."""
+    """Yield the contents of a run's files: files in the recording, and large files that are unchanged on this disk."""
     yield from whole(words).values()
     for name, text in words.items():
         with contextlib.suppress(RecordingError, OSError):

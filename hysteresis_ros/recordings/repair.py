@@ -50,7 +50,7 @@ from hysteresis_ros.recordings.bag_writer import ROSBAG2, SERIALISED
 _KEPT = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 _PRIVATE = 0x80
 
-#: Number of bytes of messages from outside intact chunks after which a new chunk is written.
+#: Messages outside intact chunks are collected; after this number of bytes a new chunk is written.
 CHUNK_BYTES = 1024 * 1024
 
 
@@ -65,7 +65,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # the footer may be that of another file, so every chunk in the index must lie within this file
+            # the footer may belong to another file, so every chunk in the index must lie within this file
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):

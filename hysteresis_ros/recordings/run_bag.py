@@ -85,10 +85,10 @@ class AxisTopics:
 class SampleWriter:
     """Writes all samples of an axis into a bag.
 
-    Samples are collected until there are enough for a chunk, or the oldest has waited for ``chunk_time``, or the bag is
-    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`). The owner of the bag
-    flushes it regularly, so that the last samples before a pause also go to the disk. Other messages go into the same
-    bag one by one, from the same thread.
+    Samples are collected until there are enough for a chunk, or the oldest sample has waited for ``chunk_time``, or the
+    bag is flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`). The owner of the
+    bag flushes it regularly, so that the last samples before a pause also go to the disk. Other messages go into the
+    same bag one by one, from the same thread.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class SampleWriter:
         self._since = time.monotonic()
 
     def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
-        """Write samples into frames; ``values``: for each topic the groups of numbers, each of shape (numbers, n)."""
+        """Write samples into frames; ``values`` contains groups of numbers for each topic, of shape (numbers, n)."""
         begin = samples.start
         while begin < samples.stop:
             if not frames.count:
@@ -249,7 +249,7 @@ def write_recording(
     joint: str | None = None,
     start_time_ns: int = 0,
 ) -> None:
-    """Write a run as a bag like that of the nodes; the bag of a stage contains the topics of all its axes."""
+    """Write a run as a bag in the form that nodes record; the bag of a stage contains the topics of all its axes."""
     path = pathlib.Path(path)
     text = recording.configuration if configuration is None else configuration
     axes = {namespace: recording}

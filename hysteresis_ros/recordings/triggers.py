@@ -28,7 +28,7 @@ class Triggers:
     sample : ndarray
         Index in the recording of the sample that follows each trigger.
     time : ndarray
-        Instant of each trigger [s], a fraction of a sample time before that sample.
+        Instant of each trigger [s], a fraction of a sample time before the sample with the index ``sample``.
     number : ndarray
         Number of each trigger, from 1; a gap in the numbers stands for triggers that followed each other too fast.
     position : ndarray
@@ -45,7 +45,7 @@ class Triggers:
 
     @property
     def lost(self) -> int:
-        """Number of triggers that followed others too fast."""
+        """Number of triggers that are missing because they followed other triggers too fast."""
         steps = np.diff(self.number)
         return int(np.sum(steps[steps > 0.0] - 1.0))
 
