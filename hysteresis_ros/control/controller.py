@@ -12,8 +12,8 @@
 A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
 that starts from rest would move the command while it settles. Two controllers with the same model and Kalman filter
 share the observer and its state. The integrated states of the new law are set so that the command continues from its
-present value, or to zero if this is impossible. The hand-over after the controller then lets the remaining difference
-decay.
+present value. If this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
+difference decay.
 """
 
 from __future__ import annotations
@@ -108,13 +108,14 @@ ARMED = 2
 #: x[QUICK]: additional bias that is halved in each sample.
 QUICK = 3
 
-#: A bias below this value is set to zero, before it becomes a subnormal number, with which processors are slow.
+#: A bias below this value is set to zero before it becomes a subnormal number, because such numbers slow processors
+#: down.
 SMALLEST = 1e-300
 
 
 @kernel
 def handover(p, x, u):
-    """Return ``u + bias`` and let the bias decay; when armed, choose the bias so that the output stays as it was."""
+    """Return ``u + bias`` and let the bias decay; when armed, choose the bias so that the output does not change."""
     if x[ARMED] != 0.0:
         lasting = x[ARMED] == 2.0
         x[ARMED] = 0.0
@@ -290,7 +291,7 @@ class ControllerParameters(Parameters):
             yield from error.problems
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return the warnings of the groups and the law, and one about a preview that truncates the inverse."""
+        """Return the warnings of the groups and the law, and a warning about a preview that truncates the inverse."""
         found = super().warnings(prefix)
         if self.feedforward.type == "inverse_dynamics":
             found += preview_warning(self.model.dynamics, self.feedforward.preview, prefix)
@@ -400,8 +401,9 @@ def successor(
 
     ``predecessor`` is not changed. If ``history``, which contains the last samples, is empty, the observer starts from
     rest at the next measurement. ``lasting`` is the mean recent difference between the achieved command and the command
-    of the new controller [m], for :func:`hysteresis_ros.control.controller.arm`. It is None if it is unknown, or if the
-    new controller continues from the present command. ParameterError: no controller can be built from the parameters.
+    of the new controller [m], for :func:`hysteresis_ros.control.controller.arm`. It is None if this difference is
+    unknown, or if the new controller continues from the present command. ParameterError: no controller can be built
+    from the parameters.
     """
     made = controller_block(parameters, sample_time)
     lasting = None

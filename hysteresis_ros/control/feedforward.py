@@ -19,16 +19,16 @@ g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
-where p is a least-squares inverse [1]_ and θ the lowest angle of the zeros. f cancels the zeros; at other frequencies
-it differs from one by ε (1 - cos ω)/(1 - cos θ)/(…), at low frequencies in proportion to ω². p is real and even. ε is
-the smallest value with which p decays within :data:`REACH` samples: a larger range makes f more accurate and the
-preview longer.
+where p is a least-squares inverse [1]_ and θ is the lowest angle of the zeros. f cancels the zeros; at other
+frequencies it differs from one by ε (1 - cos ω)/(1 - cos θ)/(…), at low frequencies in proportion to ω². p is real and
+even. ε is the smallest value with which p decays within :data:`REACH` samples: a larger range makes f more accurate and
+the preview longer.
 
 **Stable inversion.** The dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples
 later, where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k), this equation is a system with the
 input r(k+d) whose poles are the zeros of the dynamics. For zeros inside the unit circle the system runs forwards,
-exactly. With zeros outside, its state would grow without bound. Therefore the part of the state that belongs to these
-zeros is summed backwards over the future references,
+exactly. With zeros outside the circle, its state would grow without bound. Therefore the part of the state that belongs
+to these zeros is summed backwards over the future references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
@@ -42,7 +42,7 @@ fraction is inverted without phase error instead (Tomizuka 1987, doi:10.1115/1.3
 with g* = (1 - f) + f z. The remaining amplitude error is (4 f (1 - f) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up
 to a tenth of the sample rate.
 
-:func:`near_zeros` selects the zeros to leave out: those near or on the circle, at frequencies far above those of a
+:func:`near_zeros` selects the zeros to leave out: zeros near or on the circle, at frequencies far above those of a
 reference. The filter f contains these zeros as the factor g, so f and the inverse of these zeros together are the
 finite impulse response g* p. If the preview is too short for this response, the zeros inside the circle are inverted.
 
@@ -208,7 +208,8 @@ class InverseFilter:
     first : int
         The relative degree d [samples]. It is smaller, possibly negative, with a fractional delay or left-out zeros.
     weights : ndarray, shape (m,)
-        Weights of r(k+first) … up to the preview; the last weight includes those of all references beyond the preview.
+        Weights of r(k+first) … up to the preview; the last weight includes the weights of all references beyond the
+        preview.
     drive : ndarray, shape (l,)
         Weights that drive the causal part: 1 without a fractional delay and without left-out zeros.
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
@@ -352,7 +353,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return the response of the modes m … 1 samples after a pulse that passes the factor that cancels these modes."""
+    """Return the response of the modes to a pulse, filtered by the factor that cancels them, m … 1 samples later."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -439,7 +440,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
     if preview < parts.degree + whole + _reach(parts, part):
-        parts = _parts(dynamics, inside=False)  # without enough preview the zeros inside are inverted, and ring
+        parts = _parts(dynamics, inside=False)  # with a short preview, zeros inside the circle are inverted and ring
     advance = _advance(part)
     drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
     ahead = _reach(parts, part)
@@ -490,7 +491,7 @@ def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -
 def designed_preview(dynamics: LinearParameters) -> int:
     """Return the preview [samples] that a design chooses for the inverse of the dynamics.
 
-    ParameterError: the dynamics have no stable inverse, or its preview would be too long.
+    ParameterError: the dynamics have no stable inverse, or the inverse needs too long a preview.
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:
@@ -503,7 +504,7 @@ def designed_preview(dynamics: LinearParameters) -> int:
 
 
 def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") -> tuple[str, ...]:
-    """Return a warning if this preview truncates the inverse by more than 1e-3, and one if zeros are left out."""
+    """Return a warning if this preview truncates the inverse by more than 1e-3, and a warning if zeros are left out."""
     found, given = [], inverse_filter(dynamics, preview)
     if given.left_out is not None:
         rate = 1.0 / dynamics.sample_time if dynamics.sample_time else 1.0
@@ -529,7 +530,7 @@ PREVIEW = 0
 ORDER = 1
 FIRST = 2  # index of the first weight relative to the oldest reference in the ring
 TAPS = 3  # number of weights in use
-PAST = 4  # number of references before the delayed one
+PAST = 4  # number of references before the delayed reference
 DRIVES = 5  # number of weights that drive the causal part
 WEIGHTS = 6
 
@@ -671,8 +672,8 @@ class Feedforward(Block):
         Raises
         ------
         ParameterError
-            The type, the preview or the order of the model differs, or the new model cannot be inverted. Nothing is
-            changed then.
+            The type, the preview or the order of the model differs, or the new model cannot be inverted. In this case
+            nothing is changed.
         """
         parameters = parameters.validated()
         for name in ("type", "preview"):

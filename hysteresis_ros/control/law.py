@@ -129,7 +129,7 @@ class Controller(Block):
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure; the controller stays unchanged then.
+            The parameters are wrong or change the structure; in this case the controller is not changed.
         """
         parameters = parameters.validated()
         if parameters.type != self.parameters.type:
@@ -149,7 +149,7 @@ class Controller(Block):
         self.p[:] = packed
 
 
-#: Parameters with which there is no feedforward.
+#: Parameters of a controller without feedforward.
 UNFED: Mapping[str, Any] = {"feedforward.type": "none", "feedforward.preview": 0}
 
 

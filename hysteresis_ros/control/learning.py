@@ -22,10 +22,10 @@ For each sample that cannot be used for learning, the ring of errors contains a 
 a tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If saturated commands are
 the reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage
 causes an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is
-shorter than after saturation, because one late sample is a small disturbance. When the reference differs from that of
-the previous period, the correction is phased out. While an axis approaches the path of its scan, its reference also
-differs from the reference in the file of a correction. The correction is then phased out too, but it stays stored until
-the axis reaches the path, or until another reference repeats.
+shorter than after saturation, because one late sample is a small disturbance. When the reference differs from the
+reference of the previous period, the correction is phased out. While an axis approaches the path of its scan, its
+reference also differs from the reference in the file of a correction. The correction is then phased out too, but it
+stays stored until the axis reaches the path, or until another reference repeats.
 
 References
 ----------

@@ -47,7 +47,7 @@ def with_acting(dynamics, plant: StateSpace) -> StateSpace:
     """Return a plant with its quasi-static displacement as a second output.
 
     The second output has only a gain and a delay, no poles or zeros. The force in the stack is a weighted sum of both
-    outputs. The plant must have no feedthrough, and its first states must be those of ``dynamics``.
+    outputs. The plant must have no feedthrough, and its first states must be the states of ``dynamics``.
     """
     row, through = dynamics.acting
     n = plant.order
@@ -255,8 +255,8 @@ class Judged(NamedTuple):
         Frequency up to which disturbances are rejected, that is, |S| is below −3 dB [Hz]; 0 if a constant disturbance
         is not rejected.
     feedback : float
-        Frequency up to which the feedback acts, that is, |T| is above −3 dB [Hz]; 0 if it does not act at frequency
-        zero.
+        Frequency up to which the feedback acts, that is, |T| is above −3 dB [Hz]; 0 if the feedback does not act at
+        frequency zero.
     late_sensitivity_peak : float
         M_s with an additional sample of delay.
     """
@@ -294,7 +294,7 @@ def judge(
     sample_time : float
         Sample time [s].
     grid : int
-        Number of frequencies, in addition to those around the poles.
+        Number of frequencies, in addition to the frequencies around the poles.
     with_bandwidth : bool
         Whether to search for the bandwidth.
     """

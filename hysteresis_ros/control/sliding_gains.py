@@ -12,10 +12,10 @@
 Two numbers determine the speed of such a loop: the pole that sets the bandwidth of the response to the reference, and
 the bandwidth of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search
 varies both numbers on grids that become finer around the best point. Among the points that meet the requirements, the
-best one has the largest product of bandwidth and rejection. A bandwidth above that of the feedback does not count as
-better, because tracking then depends on the accuracy of the model. If no point meets the requirements, the point that
-comes closest to them is returned; its margins show which requirements it does not meet. The equations of hyperplane and
-feedback gain are in :mod:`.state_feedback`, those of the laws in ``laws/``.
+best one has the largest product of bandwidth and rejection. A bandwidth above the bandwidth of the feedback is not
+considered better, because tracking then depends on the accuracy of the model. If no point meets the requirements, the
+point that comes closest to them is returned; its margins show which requirements it does not meet. The equations of
+hyperplane and feedback gain are in :mod:`.state_feedback`; the equations of the laws are in ``laws/``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ HALVINGS = 12
 #: Range of the filter, as exponents of two of a ratio: change of the disturbance per sample divided by the noise, both
 #: as the filter assumes them.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
-#: Weight of the penalty on a bandwidth above that of the feedback.
+#: Weight of the penalty on a bandwidth above the bandwidth of the feedback.
 IN_VAIN = 0.05
 #: Steps of the grids, in exponents of two, from coarse to fine.
 STEPS = (2.0, 1.0, 0.5)
@@ -172,13 +172,13 @@ def power_of_two(exponent: float) -> float:
 
 
 def pole_of(halvings: float) -> float:
-    """Return the pole, to four digits, with the bandwidth :data:`FASTEST_POLE` halved this number of times."""
+    """Return the pole, to four digits, with the bandwidth :data:`FASTEST_POLE` after this number of halvings."""
     angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
     return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
 
 
 def excess(found: Judged, aimed: Requirements) -> float:
-    """Return the largest factor by which a loop misses one of the requirements."""
+    """Return the largest factor by which a loop misses a requirement."""
     return max(
         found.sensitivity_peak / aimed.sensitivity_peak,
         aimed.delay_margin / max(found.delay_margin, 1e-12),

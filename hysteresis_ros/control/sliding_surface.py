@@ -442,7 +442,7 @@ class SlidingController(Controller):
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure; the controller stays unchanged then.
+            The parameters are wrong or change the structure; in this case the controller is not changed.
         """
         before = self.parameters.model
         super().retune(parameters)

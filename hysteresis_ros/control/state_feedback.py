@@ -221,7 +221,7 @@ def hyperplane_from_poles(A, B, poles):
     B : ndarray, shape (n, 1)
         Model x⁺ = A x + B u.
     poles : array_like, shape (n - 1,)
-        Discrete poles, complex ones in conjugate pairs. The n-th pole of the closed loop is Φ.
+        Discrete poles; complex poles are in conjugate pairs. The n-th pole of the closed loop is Φ.
 
     Returns
     -------
@@ -269,7 +269,8 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
     Raises
     ------
     ParameterError
-        ``model.dynamics.B``: not stabilisable; or ``sliding_mode.lq_state_weight``: an unstable mode has no weight.
+        ``model.dynamics.B``: the model is not stabilisable. ``sliding_mode.lq_state_weight``: an unstable mode has no
+        weight.
     """
     given = tuple(np.diag(state_weight).tolist())
     if not stabilisable(A, B):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Uncertainty of the plant in a design: parameters, or a frequency response, that differ from those of the model.
+"""Uncertainty of the plant in a design: parameters, or a frequency response, that differ from the model.
 
 A design uses linear dynamics, because the compensator inverts hysteresis and creep. The slope of residual hysteresis
 depends on amplitude and history. It acts on a loop like a deviation of the gain, and is represented as one.
@@ -63,7 +63,7 @@ class Uncertainty:
     resonance : float
         Largest relative deviation of all times: periods of resonances, time constants, and the delay of the model.
     delay : float
-        Largest delay beyond that of the model [samples].
+        Largest delay beyond the delay of the model [samples].
     draws : int
         Number of random plants, in addition to the corners.
     seed : int
@@ -103,7 +103,7 @@ class PossiblePlant:
     plant : StateSpace
         From command to measured displacement, in SI units.
     late : float
-        Delay in addition to that of the model [samples].
+        Delay in addition to the delay of the model [samples].
     description : str
         How the plant differs from the model.
     """
@@ -273,7 +273,7 @@ NEAREST = 0.12
 KEPT = 0.2
 #: Number of points of the grid, its decades below half the sample rate, and number of points around each pole.
 POINTS, DECADES, AROUND = 500, 5.0, 41
-#: Number of gains that are tried from the model's gain to the largest one.
+#: Number of gains that are tried, from the model's gain to the largest gain.
 GAINS = 9
 #: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
@@ -311,7 +311,7 @@ class ResponseUncertainty:
     frequencies : ndarray, shape (n,)
         [Hz], rising.
     relative : ndarray, shape (n,)
-        l at each frequency. It is constant below the first one; above the last one the response is unknown.
+        l at each frequency. It is constant below the first frequency; above the last frequency the response is unknown.
     known_to : float
         Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
     crossover : float
@@ -413,7 +413,7 @@ class ResponseUncertainty:
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
         rest = relative * np.abs(parts[:, 0]) + UNKNOWN * share * gain
-        # try gains from the model's to the largest one: the smallest distance may occur between them
+        # try gains from the model's gain to the largest gain: the smallest distance may occur between them
         distance = np.min([np.abs(1.0 + k * values) - k * rest for k in np.linspace(1.0, self.gain, GAINS)], axis=0)
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))

@@ -82,7 +82,7 @@ def design_text(configuration: Configuration, parameters: ControllerParameters, 
 
 
 def learning_text(configuration: Configuration, parameters: LearningParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with a designed correction; everything else stays."""
+    """Return the text of the file with a designed correction; everything else is kept."""
     chosen = {f"learning.{name}": value for name, value in parameters.to_mapping().items()}
 
     def values(before: dict) -> dict:
@@ -92,7 +92,7 @@ def learning_text(configuration: Configuration, parameters: LearningParameters, 
 
 
 def feedforward_text(configuration: Configuration, values: dict, namespace: str, node: str, header: str) -> str:
-    """Return the text of the file with new feedforward values in a section; everything else stays."""
+    """Return the text of the file with new feedforward values in a section; everything else is kept."""
     chosen = {f"feedforward.{name}": value for name, value in values.items()}
 
     def changed(before: dict) -> dict:
@@ -102,7 +102,7 @@ def feedforward_text(configuration: Configuration, values: dict, namespace: str,
 
 
 def scan_text(configuration: Configuration, chosen: dict, namespace: str) -> str:
-    """Return the text of a stage's file in which the parameters of the scan are replaced; everything else stays."""
+    """Return the text of a stage's file in which the parameters of the scan are replaced; everything else is kept."""
     chosen = {f"scan.{name}": value for name, value in chosen.items()}
     return _text(configuration, lambda before: before | chosen, namespace, "", (), STAGE)
 
@@ -214,7 +214,7 @@ WORTH, REACHED = 1.1, 0.97
 def rolled_off_design(
     first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float, bandwidth: float | None = None
 ) -> Designed | None:
-    """Return the integral controller with the largest gain that :func:`is_certain`, over all roll-offs, or None.
+    """Return the integral controller with the largest certain gain (:func:`is_certain`) over all roll-offs, or None.
 
     Units: ``sample_time`` [s]. ``quiet`` is the largest gain from the sensor's noise to the command, ``bandwidth`` the
     largest bandwidth [Hz].
@@ -435,7 +435,7 @@ class AxisDesign:
     calmed: str = ""  #: Why the controller is slower than it could be.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the loop, on the model or on one of the other plants."""
+        """Return the unmet requirements of the loop, on the model or on another plant."""
         others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
         return self.margins.misses() or next((said for said in others if said), ())
 

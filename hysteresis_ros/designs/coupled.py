@@ -9,12 +9,12 @@
 
 """The loops of a stage: margins, and design of the controllers and of the learned corrections of all axes.
 
-**Dynamic decoupling of a scan.** Let R be the references of all axes at a harmonic of the path, and T the coupled
-closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q (T⁻¹ - I)
-R. With Q = I, the displacements of all axes of the model are equal to R at the samples. The path of a whole period is
-known in advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness
-filter of the axis; above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with
-the errors that the model does not predict.
+**Dynamic decoupling of a scan.** Let R be the references of all axes at a harmonic of the path, and let T be the
+coupled closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q
+(T⁻¹ - I) R. With Q = I, the displacements of all axes of the model are equal to R at the samples. The path of a whole
+period is known in advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the
+robustness filter of the axis; above the bandwidth of Q nothing is corrected. Learning begins with these corrections,
+and continues with the errors that the model does not predict.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ Uncertainties = Mapping[str, ResponseUncertainty]
 #: bandwidth. With a damping, which is meant for a fast law, only the first AROUND fractions are tried. PEAKS are the
 #: largest M_s of weaker dampings.
 SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
-#: Bandwidth of the slow axis of a raster, in multiples of its lines per second, or of the bandwidth of its path.
+#: Bandwidth of the slow axis of a raster, in multiples of the lines per second, or of the bandwidth of its path.
 CALM = 10.0
 #: Table entry of a stage with unstable loops.
 UNSTABLE = "none: the loop is unstable"
@@ -155,7 +155,7 @@ def design_controllers(
 def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
     """Return the slow axis of the stage's raster scan and the bandwidth [Hz] that suffices for it, or None.
 
-    This axis hardly moves, so a faster loop would only add motion by the noise of its sensor.
+    This axis hardly moves, so a faster loop would only add motion due to the noise of its sensor.
     """
     scan = parameters.scan
     if scan is None or not scan.slow_axis:

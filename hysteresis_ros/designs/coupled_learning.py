@@ -11,12 +11,12 @@
 
 In run j the corrections M_j of all axes (n complex amplitudes at each harmonic of the common period) are fixed, and the
 errors against the undelayed path have the amplitudes E_j = c - T M_j. T (n × n) is the closed loop from references to
-displacements, and c the error without corrections. Neither c nor T is known exactly. Both are estimated at each
+displacements, and c is the error without corrections. Neither c nor T is known exactly. Both are estimated at each
 harmonic from the model and from all runs:
 
 - *The model's uncertainty* gives mean and covariance of T before any run, computed over plants whose gains, modes and
-  delays differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` represents
-  effects that no model describes.
+  delays differ from the model, independently for each actuator and each mode. :data:`UNSEEN` represents effects that no
+  model describes.
 - *Each run* is a measurement of c - T M_j. The noise of this measurement is known from the differences between the
   periods of the run. A linear minimum-variance estimate combines both sources (a Kalman filter with a constant state).
 
@@ -94,7 +94,7 @@ class Loops:
 def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Uncertainty) -> Loops:
     """Return mean and covariance of the closed loop at angles in the z plane, over all stages within an uncertainty.
 
-    Each actuator has its own random gain, slope and delay, and each mode of the structure its own random factor on the
+    Each actuator has its own random gain, slope and delay. Each mode of the structure has its own random factor on the
     times.
     """
     random = np.random.default_rng(possible.seed)

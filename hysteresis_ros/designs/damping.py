@@ -10,7 +10,7 @@
 """Design of a damping filter for a model: the filter that permits the fastest outer loop, and its performance.
 
 For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
-of ``pid``, and the largest gain g of the PID follows in closed form on a grid of frequencies: with X the loop for g =
+of ``pid``, and the largest gain g of the PID follows in closed form on a grid of frequencies: if X is the loop for g =
 1, |1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The filter is judged by its worst result on
 several plants: the model, and plants with lower and higher resonances. The inner loop alone, and the loop with both
 feedbacks, cut at the plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are
@@ -331,7 +331,7 @@ class DampedDesign:
     undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if there is no such design.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the law's loop or of both loops, on any of the plants."""
+        """Return the unmet requirements of the law's loop or of both loops, on any plant."""
         for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
             for number, margins in enumerate(found):
                 said = margins.misses()

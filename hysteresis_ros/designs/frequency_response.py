@@ -217,9 +217,9 @@ class AxisResponse:
 
     plan: Plan
     #: Response from voltage or command to the measured displacement. For a closed loop with an unknown controller, the
-    #: response starts from reference − measured.
+    #: input of the response is reference − measured.
     plant: Analysis
-    loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.
+    loop: MeasuredLoop | None = None  #: Loop transfer function, from a measurement in closed loop.
     model: np.ndarray | None = None  #: shape (F,); Response of the controller's model of the plant at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,); Loop of the controller with this model, at the lines.
     margins: Margins | None = None  #: Margins of the controller with its own model.

@@ -111,8 +111,8 @@ class Robustness:
     """Margins of a loop on all plants within an uncertainty."""
 
     uncertainty: Uncertainty
-    plants: tuple[PossiblePlant, ...]  #: The model first.
-    margins: tuple[Margins, ...]  #: Margins on each plant; delay margins are in addition to the model's delay.
+    plants: tuple[PossiblePlant, ...]  #: Plants within the uncertainty, the model first.
+    margins: tuple[Margins, ...]  #: Margins on each plant; delay margins count from the model's delay.
 
     @property
     def worst(self) -> int:

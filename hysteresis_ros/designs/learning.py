@@ -150,7 +150,7 @@ class LearningDesign:
     unweighed: bool = False
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return the factor per period on the slowest part of the error, at the initial learning gain."""
+        """Return the factor per period for the slowest part of the error, at the initial learning gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -158,7 +158,7 @@ class LearningDesign:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """Ratio of the measured response of a plant to that of its model."""
+    """Measured response of a plant, divided by the response of its model."""
 
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
     ratio: np.ndarray  #: shape (F,); Ratio at the lines; outside their range, at() uses the ratio of the nearest line.
@@ -279,7 +279,7 @@ def design_learning(
 
 
 def with_known_noise(axis: AxisParameters, configuration: Configuration) -> AxisParameters:
-    """Return an axis with the sensor noise that an identification has found, unless the sensor has a noise already."""
+    """Return an axis with the sensor noise that an identification has found, unless its sensor already has noise."""
     found = next((values for name, values in configuration.entries if name == SECTION), {}).get("metrics.noise_rms_m")
     plant = axis.plant_simulator
     if plant.sensor.noise or not isinstance(found, float) or not 0.0 < found < np.inf:
@@ -366,7 +366,7 @@ def settling(loop: Response) -> int:
 def knocked(loop: Response) -> int:
     """Return the time in which the identified closed loop recovers from one wrong sample of the voltage [samples].
 
-    It has recovered when the response stays below :data:`SETTLED` of its largest value.
+    The loop has recovered when the response stays below :data:`SETTLED` of its largest value.
     """
     assert loop.pushed is not None
     answer = np.abs(np.fft.irfft(loop.pushed))

@@ -48,7 +48,7 @@ MARGIN = 0.1
 UNSEEN = 0.15
 #: Number of taps of Q on each side of the middle tap, if the period is long enough; G has as many taps as Q.
 HALF = 64
-#: Bandwidths that are tried, as fractions of the sample rate: highest, factor from one to the next, lowest.
+#: Bandwidths that are tried, as fractions of the sample rate: highest, lowest, and their number.
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
 #: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02

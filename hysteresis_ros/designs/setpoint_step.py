@@ -46,7 +46,7 @@ class SetpointStep:
 
     @property
     def share(self) -> float:
-        """Ratio of the requested change to the allowed one; above 1 the slew rate limits the voltage."""
+        """Requested change divided by the allowed change; above 1 the slew rate limits the voltage."""
         return self.asked / self.allowed
 
     def rows(self) -> list[tuple[str, str]]:

@@ -102,7 +102,7 @@ def played_stage(
 ) -> StageParameters:
     """Return the stage that outputs ``voltages`` [V], shape (N, n), from a file that is written next to ``path``.
 
-    Plants and compensators are limited to ``ranges`` [V], by default those of the configuration.
+    Plants and compensators are limited to ``ranges`` [V], by default the ranges of the configuration.
     """
     parameters = StageParameters.from_configuration(configuration)
     rate, path = parameters.sample_rate, pathlib.Path(path)

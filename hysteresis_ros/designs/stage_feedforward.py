@@ -87,8 +87,8 @@ def design_stage_feedforward(
 ) -> StageFeedforward:
     """Design the feedforward of a stage up to a band [Hz]; the controllers of the stage do not change.
 
-    The preview is the shortest one with which the coupling of the model is at most 0.1 % up to the band. By default the
-    band is a tenth of the sample rate, or less if no preview is long enough. If no feedforward can be designed, a
+    The preview is the shortest preview with which the coupling of the model is at most 0.1 % up to the band. By default
+    the band is a tenth of the sample rate, or less if no preview is long enough. If no feedforward can be designed, a
     ConfigurationError states the reason.
     """
     rate = parameters.sample_rate

@@ -9,8 +9,8 @@
 
 """Response matrix of a stage: the run that measures it, the matrix from a recording, its table and its files.
 
-Noise and distortion of an entry are standard deviations: those that they cause in the entry after it is averaged over
-the realisations.
+Noise and distortion of an entry are the standard deviations that they cause in this entry, averaged over the
+realisations.
 """
 
 from __future__ import annotations

@@ -113,9 +113,9 @@ class StageRequest:
     type : str, optional
         ``hammerstein`` or ``internal``; by default ``internal`` for recordings at several levels without loops.
     axes : tuple of str
-        Names of the axes; by default those of the recording, or the names of the outputs.
+        Names of the axes; by default the names in ``into`` or in the recording, or else x, y, z.
     order : int, optional
-        Even order of the structure; by default the lowest one whose prediction is almost as good as the best.
+        Even order of the structure; by default the lowest order whose prediction is almost as good as the best.
     held_out : int
         Number of realisations of each level that are held out to judge the models.
     model : str
@@ -655,7 +655,7 @@ def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | No
         return None
     upper = found.noise[len(found.noise) // 2 :]
     samples = 1 if data is None else data.u.shape[1]
-    # without periods the covariance is that of a single sample
+    # without periods, found.noise is the covariance of a single sample
     return np.sqrt(samples * np.einsum("fii->i", upper).real / len(upper))
 
 
@@ -750,7 +750,7 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
     """Return the text of a stage with the decoupling, compensators, controllers and references of another stage.
 
     A simulated stage keeps its plant. A stage of devices uses its plant only in simulations and designs, so its plant
-    is replaced by the identified one.
+    is replaced by the identified plant.
     """
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
@@ -792,7 +792,7 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
 
 
 def _modelled(plant: dict) -> dict:
-    """Return the parameters of an identified plant's model, without those of its device, with missing ones added."""
+    """Return the model parameters of an identified plant, without its device; defaults replace missing values."""
     lacking = {"creep.type": "none", "dynamics.delay": 0.0, "preload.A1": 0.0, "sensor.noise": 0.0}
     model = ("hysteresis.", "creep.", "dynamics.", "preload.", "sensor.")
     return lacking | {key: value for key, value in plant.items() if key.startswith(model)}
@@ -870,7 +870,7 @@ def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncerta
 def design_identified(
     text: str, parameters: StageParameters, request: StageRequest, noise: float | None, analyses, known: Uncertainties
 ):
-    """Return the text with designed controllers, the designs, and the reason if there are no designs.
+    """Return the text with designed controllers, the designs, and warnings or the reason why there are no designs.
 
     Units: ``noise`` [m], RMS.
     """

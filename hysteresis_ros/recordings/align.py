@@ -193,7 +193,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have the same stamp, by which they
     are matched. Without them, ``joint_states`` and the Float64 topics are used: a topic with one message per sample is
     matched by count; for any other topic, each sample gets the last message before the next sample. Without a simulated
-    plant the true displacement is unknown: its column is then the measured displacement, and a note states this.
+    plant the true displacement is unknown: the column ``displacement`` is then the measured displacement, and a note
+    states this.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Writer of MCAP bags, based on ``rosbags``: chunks survive a kill, and a file on a full disk still ends validly.
+"""Writer of MCAP bags, based on ``rosbags``: chunks survive a kill, and a file on a full disk stays valid.
 
 A chunk is passed to the operating system in one piece. If this fails (full disk), the chunk counts as not written, and
 the file is truncated to the end of the previous chunk, so that it never ends inside a record.

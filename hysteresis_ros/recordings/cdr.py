@@ -57,7 +57,7 @@ class MessageForm:
     """A message of fixed size, the template for messages that differ only in stamp and numbers."""
 
     data: bytes  #: CDR including the four-byte header; stamp and numbers are zero.
-    stamp: int  #: Position of the stamp in the header (int32 seconds, uint32 nanoseconds); -1: no header.
+    stamp: int  #: Position of the stamp in ``data`` (int32 seconds, uint32 nanoseconds); -1: no stamp.
     values: tuple[tuple[int, int], ...]  #: Position and length of each group of float64 numbers.
 
 
@@ -196,7 +196,7 @@ class _Layout:
 
 
 def _joint_state_layout(raw: bytes) -> _Layout:
-    """Return the layout of a little-endian JointState; padding is not significant, as writers leave it undefined."""
+    """Return the layout of a little-endian JointState; padding, which writers leave undefined, is ignored."""
     significant = np.zeros(len(raw), dtype=bool)
     significant[:2] = True
     cursor = 12
@@ -223,6 +223,6 @@ def _joint_state_layout(raw: bytes) -> _Layout:
         cursor += -(cursor - 4) % 8
     offset = cursor
     cursor += 8 * count
-    # messages of equal size have equal layouts if velocity has the same length, because then effort has too
+    # if the size and the length of velocity are equal, the length of effort and thus the layout are equal
     length()
     return _Layout(len(raw), offset, count, significant)

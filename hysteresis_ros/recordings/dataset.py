@@ -115,7 +115,7 @@ class Recording:
         return tuple(dict.fromkeys(name.rpartition("/")[0] for name in self.signals if "/" in name))
 
     def axis(self, name: str) -> Recording:
-        """Return the recording of one axis of a stage, which shares the arrays of this recording.
+        """Return the recording of one axis of a stage; it shares the arrays of this recording.
 
         Raises
         ------
@@ -176,7 +176,7 @@ class Recording:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the run was simulated offline, where a device is simulated too."""
+        """Whether the run was simulated offline; such a run also simulates a device."""
         return self.metadata.get("source") == SIMULATED
 
     @property

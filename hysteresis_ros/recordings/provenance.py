@@ -124,7 +124,7 @@ def whole(words: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def note_on_disk(name: str, content: bytes) -> str:
-    """Return a line if the file on this disk differs from the recorded one; empty if it is equal or missing."""
+    """Return a line if the file on this disk differs from the recorded file; empty if it is equal or missing."""
     with contextlib.suppress(OSError, ValueError):
         path = pathlib.Path(name)
         if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):
@@ -156,7 +156,7 @@ def available(words: Mapping[str, str]) -> Iterator[bytes]:
                 yield pathlib.Path(name).read_bytes()
 
 
-#: Name of the metadata record of MCAP.
+#: Name of the metadata record of MCAP with the provenance.
 RECORD = "hysteresis_ros"
 
 #: Packages that affect the bits of a run, or its recording.

@@ -90,7 +90,7 @@ class DampingParameters(Parameters):
         Raises
         ------
         ParameterError
-            The filter cannot run at this sample time; names begin with ``damping.``.
+            The filter cannot run at this sample time; the names in the message begin with ``damping.``.
         """
         try:
             found = KINDS[self.type].filter(getattr(self, self.type), sample_time)
@@ -169,7 +169,7 @@ class InnerLoop:
             From command to measured displacement, y_k = C x_k. If the filter's input is the force, the second output
             must be the quasi-static displacement.
         scale : float
-            Ratio of SI units per unit of the plant's output to SI units per unit of its input.
+            Unit of the plant's output in SI, divided by the unit of its input in SI.
         """
         F = self.feedback
         n, m = plant.order, F.order
@@ -209,7 +209,7 @@ class InnerLoop:
 def inner_loop(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> InnerLoop:
-    """Return the inner loop of a damping filter around a model; the type of the damping is not none.
+    """Return the inner loop of a damping filter around a model; the type of the damping must not be none.
 
     ParameterError: the filter cannot run at this sample time [s], or it uses the force and ``force`` contains no model
     of the force.
@@ -244,7 +244,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
 def closing(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
-    """Return a function that takes a plant in SI units and returns the damped plant; without damping, the plant itself.
+    """Return a function from a plant in SI units to the damped plant; without damping it returns the plant unchanged.
 
     Parameters
     ----------
@@ -419,7 +419,7 @@ class Damping(Block):
         Raises
         ------
         ParameterError
-            The parameters are wrong, or the inner loop would be unstable. Nothing is changed then.
+            The parameters are wrong, or the inner loop would be unstable. In this case nothing is changed.
         """
         packed = self.pack(parameters.validated())
         same = parameters.damping.type == self.parameters.damping.type and packed[ORDER] == self.p[ORDER]

@@ -16,7 +16,7 @@ r"""PID controller in parallel form with derivative filter, setpoint weights and
 in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), with the cut-off N of the
 derivative filter [rad/s].
 
-Discretisation: exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
+The discretisation is exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
 
 .. math::
 
@@ -361,7 +361,7 @@ class Pid(Controller):
         Raises
         ------
         ParameterError
-            The parameters are wrong or make the controlled model unstable; the controller is unchanged then.
+            The parameters are wrong or make the controlled model unstable; in this case the controller is not changed.
         """
         before = self.p.copy()
         super().retune(parameters)
@@ -455,15 +455,15 @@ def design_pid(
     Parameters
     ----------
     given : PidParameters
-        Parameters. The design replaces the gains, the setpoint weights and, if a derivative filter is needed and the
-        given one is 0, the derivative filter.
+        Parameters. The design replaces the gains, the setpoint weights and, if a derivative filter is needed and its
+        given cut-off is 0, this cut-off.
     dynamics : LinearParameters
         The model.
     sample_time : float
         [s]
     bandwidth : float, optional
-        Frequency at which the response to the reference has fallen by 3 dB [Hz]; by default the highest one that the
-        plants allow.
+        Frequency at which the response to the reference has fallen by 3 dB [Hz]; by default the highest frequency that
+        the plants allow.
     plants : tuple of PossiblePlant, optional
         Plants on which the requirements must hold, the model first; by default the model alone.
     aimed : Requirements, optional

@@ -167,7 +167,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
 
 @lru_cache(maxsize=16)
 def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the parameter array for ControllerParameters (read-only); without a sample time, only to check them.
+    """Return the parameter array for ControllerParameters (read-only); without a sample time it only serves as a check.
 
     ParameterError: the design fails; names are relative to the controller's parameters.
     """
