@@ -14,8 +14,8 @@ The static element follows paper B, section 3.2 (B3).
 The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the nodes,
 on a grid finer than the samples. Levenberg-Marquardt steps, with sensitivities by finite differences, lower the output
 error. The equations contain β, γ and δ only as the products βγ and βδ, so β keeps its initial value. The output error
-has local minima if the initial resonance is far off. Trial points around the initial values are therefore first
-evaluated on a short part of the data, and only the best few are refined.
+has local minima if the initial resonance is far from the true one. Trial points around the initial values are therefore
+first evaluated on a short part of the data, and only the best few are refined.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class BoucWenIdentification:
 
 
 def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
-    """Return an initial guess from the ranges: α = d_e/4, and a memory that decays over half the voltage range."""
+    """Return an initial guess from the ranges: α ≈ d_e/4, and a memory that decays over half the voltage range."""
     slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
     d_e, alpha = 1.25 * slope, 0.3 * slope
     rate = 2.0 / float(np.ptp(voltage))
@@ -219,10 +219,11 @@ SHORT_PART = 6000
 LARGEST_ERROR = 10.0
 #: Number of periods after which a simulation with periodic input counts as settled.
 SETTLING = 1
-#: Starts agree if their residuals are at most this factor times the smallest; if two agree, the search ends …
+#: Starts agree if their residuals are at most this factor times the smallest residual; if two starts agree, the search
+#: ends.
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
-#: … provided that its residual is below this fraction of the stroke.
+#: The search ends only if the residual is also below this fraction of the stroke.
 WELL_DONE = 0.05
 
 
@@ -368,7 +369,7 @@ class _OscillatorProblem:
         return np.clip(error - error.mean(), -LARGEST_ERROR, LARGEST_ERROR)
 
     def guesses(self, trials, seed):
-        """The initial values, and the best of the trial points around them."""
+        """Return the initial values, and the best of the trial points around them."""
         random = np.random.default_rng(seed)
         points = 2.0 ** (SPREAD * random.uniform(-1.0, 1.0, (trials, len(OSCILLATOR_FREE))))
         costs = [np.mean(self.residual(point, SEARCH_GRID, SHORT_PART) ** 2) for point in points]

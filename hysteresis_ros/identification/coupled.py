@@ -14,14 +14,14 @@ The identification has three steps, each based on the result of the previous one
 
 1. the frequency response matrix of each level, with separate estimates of noise and nonlinear distortion
    (``frequency_response``);
-2. the linear dynamics at the middle level: a subspace method, then refinement of the modes on the response
+2. the linear dynamics at the middle level: a subspace method, then refinement of the modes by a fit to the response
    (``subspace``); the order is chosen by the error of the simulation on held-out realisations;
 3. the hysteresis inside the structure (``structure_fit``), by Gauss-Newton on the error of the simulation. The search
    begins with gains and plays, then adds the linear part, then C_z, then B_w and the radii. It ends when the error on
    the held-out realisations rises.
 
-C_z starts as Γ C Λ^τ, where Γ is the inverse of the static gain: this is the motion of the actuators τ samples ahead.
-Without this advance, the search ends far from the plant.
+The initial value of C_z is Γ C Λ^τ, where Γ is the inverse of the static gain; the input of the plays is then the
+motion of the actuators τ samples ahead. Without this advance, the search ends far from the true plant.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ ADVANCE = 1.1
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
 #: Initial weight of the plays.
 FIRST_WEIGHT = 1e-3
-#: Number of steps on the response, and number of steps of each early stage with plays. The early stages use two
-#: realisations of each level, and half a period.
+#: Number of refinement steps on the frequency response; number of steps of each early search stage with plays, and
+#: number of realisations of each level that such a stage uses (with half a period each).
 RESPONSE_STEPS = 30
 EARLY_STEPS, EARLY_REALISATIONS = 6, 2
 #: Number of consecutive steps without a smaller error on the held-out realisations, after which the search ends.
@@ -125,7 +125,7 @@ class StructureData:
         Parameters
         ----------
         chosen : array_like of int
-            Their indices.
+                        Indices of the realisations.
 
         Returns
         -------
@@ -153,8 +153,8 @@ class IdentifiedStructure:
     responses : tuple of ResponseMatrix
         Frequency response matrix of each level, the lowest first, from the realisations that were not held out.
     figures : dict
-        By names with units: order, plays, the smallest and largest condition number, and for each level the errors on
-        the fitted and on the held-out realisations, noise and distortion.
+        Figures by names with units: order, plays, largest pole modulus and condition number, and for each level the
+        errors on the fitted and on the held-out realisations, noise and distortion.
     warnings : tuple of str
         Sentences about uncertain results.
     """
@@ -183,7 +183,7 @@ class IdentifiedStructure:
         Raises
         ------
         ParameterError
-            The number of input columns is not that of the model.
+            The number of input columns differs from the number of inputs of the model.
         """
         u = np.asarray(u, dtype=float)
         found = []
@@ -221,7 +221,7 @@ class IdentifiedStructure:
         Returns
         -------
         str
-            ``structure`` of the node ``plant_simulator``; matrices are numbers row by row.
+            Parameters ``structure`` of the node ``plant_simulator``; each matrix is a list of its numbers, row by row.
         """
         values = {row.name: getattr(self.parameters, row.name) for row in StructureParameters.table()}
         return dump_configuration({"/**/plant_simulator": {f"structure.{name}": v for name, v in values.items()}})
@@ -237,7 +237,7 @@ class IdentifiedStructure:
         Raises
         ------
         IdentificationError
-            It cannot be written.
+                        The file cannot be written.
         """
         write_file(path, self.to_yaml())
 
@@ -252,29 +252,29 @@ class StructureEstimator:
         Even order of the linear part. If several are given, the order that best predicts the held-out realisations is
         chosen.
     plays : int
-        Plays of each hysteresis; 0: linear dynamics alone.
+        Number of plays of each hysteresis; 0: linear dynamics only.
     hystereses : int
         Number of hystereses of each actuator. The search begins with the motion of the structure as the input of
         the first hysteresis and with the voltage as the input of the others.
     held_out : int
-        Number of realisations of each level that are not fitted: they choose the order and end the search.
+        Number of held-out realisations of each level; their error selects the order and ends the search.
     run_in : int, optional
-        Samples before each period in which a simulation from rest comes to its steady state; by default a quarter of
-        the period. Modes that take longer are not found.
+        Number of samples before each period in which a simulation from rest settles; by default a quarter of the
+        period. Modes that settle more slowly are not found.
     weighting : str
-        Weighting of the errors: ``distortion``, relative to the nonlinear distortion of its level, so that all levels
-        count alike; or ``absolute``, in metres, so that the highest level counts most.
+        Weighting of the errors: ``distortion``, relative to the nonlinear distortion of the level, so that all levels
+        count equally; or ``absolute``, in metres, so that the highest level counts most.
     steps : int
-        Steps of the last stage, over all parameters and all data.
+        Number of steps of the last stage of the search, which fits all parameters to all data.
     seconds : float, optional
-        Time limit of the search [s]: no step begins later, and the best point so far is the result. If this limit ends
-        the search, the model depends on the speed of the machine.
+        Time limit of the search [s]: no step begins after it, and the best point so far is the result. If this limit
+        ends the search, the model depends on the speed of the machine.
     band : tuple of float, optional
         Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
         default.
     feedthrough : bool
-        Whether an output may respond to the input of the same sample (matrix D). It cannot in a loop that measures
-        before it commands.
+        Whether an output may respond to the input of the same sample (matrix D). This is impossible in a loop that
+        measures before it commands.
     progress : callable, optional
         Called as ``progress(text)`` after each step.
     """

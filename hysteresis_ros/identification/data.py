@@ -117,8 +117,8 @@ GRID_TOLERANCE = 0.1
 CONSTANT = 1e-12
 #: Smallest number of consecutive equal samples at an extreme that can count as clipping.
 CLIPPED_RUN = 3
-#: Smallest ratio of the length of a clipped run of equal samples to that of the neighbouring runs; the top of a
-#: coarsely quantised sine has a ratio of 5.5.
+#: Smallest ratio of the length of a clipped run of equal samples to the mean length of the neighbouring runs; the top
+#: of a coarsely quantised sine has a ratio of 5.5.
 CLIPPED_POPULATION = 8.0
 #: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
@@ -139,7 +139,7 @@ class Finding:
     #: ``short``, ``constant``, ``nan``, ``uniform``, ``swapped``, ``clipping``, ``unit``, ``coarse``, ``delay``,
     #: ``drift``, ``jitter``, ``reading`` …
     check: str
-    severity: str  #: ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
+    severity: str  #: ``error`` (cannot be used), ``warning`` (results become worse) or ``note``.
     message: str  #: Sentence with numbers and units.
 
 
@@ -417,7 +417,7 @@ def _check_delay(u, y, sample_time):
 
 
 def _check_drift(time, u, y, unit):
-    """Return the drift: the part linear in time in a fit of y by the input, the direction of the input, and time."""
+    """Return drift and findings; drift: linear term in time of a fit of y to the input, its direction, and time."""
     scaled = (u - u.mean()) / np.ptp(u)
     smooth = np.gradient(scaled)
     direction = smooth / (np.max(np.abs(smooth)) or 1.0)
@@ -533,7 +533,7 @@ def from_recording(
 
 
 def _refuse_inchworm(path, columns, input, output) -> None:
-    """Raise DataError if an inchworm motor's run is read without column names: its slider follows several voltages."""
+    """Raise DataError if inchworm data is read without column names, because the slider follows several voltages."""
     if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
         raise DataError(
             "inchworm",

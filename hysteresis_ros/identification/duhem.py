@@ -9,12 +9,13 @@
 
 """Duhem models from data: model, inverse, and model with linear dynamics after it (Wang, Alici & Tan 2014; W1-W5).
 
-The loops are prepared (W2): the lag is removed, frequencies are made comparable, and the branches of the major loop are
-extracted. For a given α these branches determine f and g. W3 computes f and g from the branches *and their slopes*, but
-the slopes of measured branches are mostly noise. The output of the Duhem equation is linear in f and g along a known
-path of the input, so the equation is used in its integrated form instead: the fit finds those f and g, as networks or
-splines, with which the equation follows the measured branches. For exact branches both methods are equivalent, but the
-integral does not differentiate noise. Input and output of the major loop are normalised to -1 … +1.
+The loops are prepared (W2): the lag is removed, loops of different frequencies are made comparable, and the branches of
+the major loop are extracted. For a given α these branches determine f and g. W3 computes f and g from the branches *and
+their slopes*, but the slopes of measured branches are mostly noise. The output of the Duhem equation is linear in f and
+g along a known path of the input, so the equation is used in its integrated form instead: the fit finds those f and g,
+as networks or splines, for which the integrated equation follows the measured branches. For exact branches both methods
+are equivalent, but the integral does not differentiate noise. Input and output of the major loop are normalised to -1 …
++1.
 
 The paper fixes α = 80 (for an input of -1 … 1). With this value the model reproduces only the major loop: after a
 reversal inside the loop, the output first moves in the wrong direction. α determines the minor loops; if the recordings
@@ -49,9 +50,9 @@ WINDOW = 0.25
 LAG_CANDIDATES = 41
 #: A branch belongs to the major loop when it comes this close to both ends, as a fraction of the range.
 NEAR_END = 0.02
-#: Largest gap of a steady loop, as a fraction of the range.
+#: Largest gap between the branches at an end of a steady loop, as a fraction of the range.
 OPEN_END = 0.02
-#: Number of points of a branch.
+#: Largest and smallest number of points of a branch.
 LOOP_GRID = 301
 COARSEST_GRID = 41
 
@@ -67,12 +68,12 @@ class PreparedLoops:
 
 
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
-    """Return by how much the reversals of the displacement are later than those of the voltage [s] (Δt of W2).
+    """Return the lag [s] of the displacement's reversals behind the voltage's reversals (Δt of W2).
 
     Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. Around each reversal, the
     displacement is described by two parabolas of the delayed voltage that meet at the corner, one before and one after
-    it. The returned lag is the delay with the smallest residual. The phase of the first harmonic would also include the
-    hysteresis.
+    the reversal. The returned lag is the delay with the smallest residual. The phase of the first harmonic is not used,
+    because it would also include the hysteresis.
 
     Units: ``voltage`` [V], ``displacement`` [m].
     """
@@ -229,7 +230,7 @@ def major_loop(inputs, outputs) -> MajorLoop:
 
 
 def _on_grid(grid, v, y):
-    """Return the piecewise linear curve over ``grid`` nearest to the samples, bridging gaps, and its sum of squares."""
+    """Return the piecewise linear curve over ``grid`` that is nearest to the samples, and its sum of squared errors."""
     from scipy.linalg import solveh_banded  # imported here because only fits need it
 
     n = grid.size
@@ -256,11 +257,11 @@ def _on_grid(grid, v, y):
 
 #: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Largest α (normalised), below the overflow of exponentials. Even with much smaller α, a branch reaches the other one
-#: within 1 % of the range.
+#: Largest α (normalised); larger values would cause overflow of exponentials. Even with much smaller α, a branch
+#: reaches the other one within 1 % of the range.
 LARGEST_ALPHA = 300.0
-#: Weight, relative to the residual, of the roughness of splines and of the size of the weights of networks. It only
-#: decides between equally good fits.
+#: Weights, relative to the residual, of the roughness of splines and of the size of network weights. They only decide
+#: between equally good fits.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
 #: Numbers of units and of knots, tried in order until the residual is small or no longer decreases.
@@ -358,7 +359,7 @@ def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
 
 
 def fit_networks(operator: LoopOperator, target, units: int, random, noise: float = 0.0) -> Shapes:
-    """Return the best trained networks, with ``units`` tanh units each, of a few seeded starts."""
+    """Return the best networks, with ``units`` tanh units each, of a few trainings with seeded starts."""
     from scipy.optimize import least_squares  # imported here because only fits need it
 
     v = operator.nodes[:, None]
@@ -454,7 +455,8 @@ SEARCH_KNOTS = 26
 #: Largest number of samples of the minor loops in the search.
 SEARCH_SAMPLES = 800
 ALPHA_TOLERANCE = 1e-3
-#: Smallest deviation of a minor loop from the major loop, as a fraction of the range, from which α can be determined.
+#: Smallest distance of a reversal from both ends of the range, as a fraction of the range, for a minor loop that
+#: determines α.
 SMALLEST_MINOR = 0.1
 
 

@@ -13,20 +13,20 @@ Either the user names the structure (one of :data:`STAGES`: a continuous model f
 fraction), or the functions here choose lag, delay and up to two resonances, and identify them alternately with the
 hysteresis.
 
-The output w of the hysteresis and the measured displacement are compared by the spectra of segments: a recording of any
-length becomes sums at a few thousand frequencies, so that a trial of a model takes a millisecond. Both signals are
-differenced and windowed (Hann) first, so that strong slow movement leaks little into the weak fast movement of a
-resonance. For given poles and delay the response is linear in the numerators, which are solved for exactly (variable
-projection), so the search of a structure has few parameters: τ, delay, and frequency and damping of each mode. A
-structure with more parameters is chosen when, in most of the folds, it predicts held-out segments better by more than
-its number of parameters explains (Bayesian information criterion). The values of a structure with modes are then
-refined on the samples in time (:class:`TimeSearch`).
+The output w of the hysteresis and the measured displacement are compared through the spectra of segments. This reduces
+a recording of any length to sums at a few thousand frequencies, so that one evaluation of a model takes a millisecond.
+Both signals are differenced and windowed (Hann) first, so that strong slow movement leaks little into the weak fast
+movement of a resonance. For given poles and delay the response is linear in the numerator coefficients. These are
+solved for exactly (variable projection), so the search for the parameters of a structure has few unknowns: τ, delay,
+and frequency and damping of each mode. A structure with more parameters is chosen only if it predicts held-out segments
+better: in most of the folds, and in total by more than the Bayesian information criterion requires. The parameters of a
+structure with modes are then refined in the time domain (:class:`TimeSearch`).
 
 For slow recordings the hysteresis is first fitted together with lag, delay and creep on coarse data; then the dynamics
-after it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement come
-first, because a hysteresis cannot represent a resonance. In both cases hysteresis and dynamics are then refined
-alternately. If the hysteresis comes from a slow recording, its dynamics may come from a second recording of small, fast
-movements.
+after it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement are
+identified first, because a hysteresis cannot represent a resonance. In both cases hysteresis and dynamics are then
+refined alternately. If the hysteresis is identified from a slow recording, the dynamics after it may be identified from
+a second recording of small, fast movements.
 
 References
 ----------
@@ -63,20 +63,21 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Ratio of the length of the recording to that of a segment; segments overlap by half.
+#: Ratio of the recording's length to a segment's length; segments overlap by half.
 LENGTHS = 8
 #: Number of folds. Segments are assigned to the folds in turn, so that an event does not fall into a single fold.
 FOLDS = 4
 #: A sweep passes each frequency once, so one fold may contain more than the fraction SWEPT of the input's power at a
-#: frequency, and the other folds cannot predict it. At these frequencies, the sums of the folds are exchanged in turn
-#: from block to block of BLOCK frequencies (the window correlates lines up to two apart). This is done only where the
-#: fold has real content: more than LEAST_POWER of its power within BAND of the frequency.
+#: frequency, and the other folds then cannot predict the response there. At these frequencies, the sums are rotated
+#: among the folds, by one fold from each block of BLOCK frequencies to the next (the window correlates lines up to two
+#: apart). This is done only where the fold has real content: more than the fraction LEAST_POWER of its power at
+#: frequencies that differ by less than the fraction BAND.
 SWEPT, BLOCK = 0.8, 4
 LEAST_POWER, BAND = 1e-3, 0.1
-#: Frequencies closer together than this fraction of the frequency are combined.
+#: Lines of the spectrum that are closer together than this fraction of their frequency are combined.
 RESOLUTION = 2e-3
-#: The noise is assumed smooth over this fraction of an octave on both sides, and over at least this number of
-#: frequencies.
+#: The noise is assumed smooth over this fraction of an octave on both sides of a frequency, and over at least this
+#: number of frequencies.
 NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
 
@@ -107,18 +108,18 @@ class SegmentSpectra:
         return np.maximum(size, 0.0)
 
     def noise(self, response) -> np.ndarray:
-        """Return the mean Σ |Y - G W|² of a fold, smoothed over the frequency, shape (n,)."""
+        """Return Σ |Y - G W|², averaged over the folds and smoothed over the frequency, shape (n,)."""
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
-        """Return the mean |Y|² of a segment minus its linear response to w, smoothed over the frequency, shape (n,)."""
+        """Return the mean power per segment that w does not explain linearly, smoothed over frequency, shape (n,)."""
         tiny = np.finfo(float).tiny
         explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
         left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
         return self.smooth(left) / max(self.segments - 1, 1)
 
     def smooth(self, values, octave: float = NOISE_OCTAVE) -> np.ndarray:
-        """Return values, shape (n,), averaged over part of an octave on both sides, shape (n,)."""
+        """Return ``values``, shape (n,), each averaged over part of an octave on both sides."""
         f, n = self.frequencies, len(self.frequencies)
         low = np.minimum(np.searchsorted(f, f * 2.0**-octave), np.maximum(np.arange(n) - NOISE_BINS, 0))
         high = np.maximum(np.searchsorted(f, f * 2.0**octave), np.minimum(np.arange(n) + NOISE_BINS, n))
@@ -127,7 +128,7 @@ class SegmentSpectra:
 
 
 def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> SegmentSpectra:
-    """Return the sums of the spectra of two signals of the same sample rate, first ``w``, then ``y``.
+    """Return the sums of the spectra of input ``w`` and output ``y``, which have the same sample rate.
 
     Units: ``sample_time`` [s].
     """
@@ -159,7 +160,7 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
 
 
 def _swept(frequencies, power) -> np.ndarray:
-    """Return where one fold has nearly all power of the input and this power is real content, shape (n,) of bool."""
+    """Return where one fold has nearly all input power and also real content, shape (n,) of bool."""
     most = np.argmax(power, axis=0)
     total = np.pad(np.cumsum(power, axis=1), ((0, 0), (1, 0)))
     low, high = (np.searchsorted(frequencies, frequencies * (1.0 + side)) for side in (-BAND, BAND))
@@ -169,23 +170,22 @@ def _swept(frequencies, power) -> np.ndarray:
 
 #: Largest number of modes of a structure.
 MOST_MODES = 2
-#: Ranges: of the damping ratio; of the frequency, as a fraction of the sample rate; of lag and delay, in samples and as
-#: a fraction of a segment.
+#: Range of the damping ratio; highest frequency, as a fraction of the sample rate; shortest lag [samples]; longest lag
+#: and delay, as a fraction of a segment; largest number of evaluations of a fit.
 DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
-#: Standard deviation of the power of the spectrum of the window (Hann), as a fraction of the distance between two
-#: lines.
+#: Standard deviation (width) of the Hann window's power spectrum, as a fraction of the distance between two lines.
 WINDOW_WIDTH = 1.0 / math.sqrt(3.0)
 #: Relative step of the derivatives: the square root of the machine precision.
 SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
-#: Number of modes whose responses a search keeps.
+#: Number of modes whose responses a search caches.
 KEPT_COLUMNS = 16
 #: Least number of cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
-#: Smallest error assumed for a model, as a fraction of the movement at neighbouring frequencies: the leakage of the
-#: window.
+#: Smallest error assumed for a model, as a fraction of the output at neighbouring frequencies; it accounts for the
+#: leakage of the window.
 SMALLEST_ERROR = 3e-3
 
 
@@ -234,22 +234,22 @@ def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray,
 def _held_mode(frequency, damping, sample_time: float, part: float):
     """Return numerators in 1/z of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) for a held input, and the denominator.
 
-    ``part`` is the fraction of a sample by which the input is late. The three coefficients of each numerator are to be
-    multiplied by 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
+    ``part`` is the fraction of a sample by which the input is late. The three coefficients of each numerator do not
+    include its factor 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
     """
     omega = 2.0 * np.pi * frequency
     pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
     late = np.expm1(pole * (1.0 - part) * sample_time) / pole
     early = np.expm1(pole * sample_time) / pole - late
     decay = np.exp(pole * sample_time)
-    # 1/(s - p) becomes (late + early/z)/(z - decay); the difference to its conjugate has real coefficients
+    # 1/(s - p) becomes (late + early/z)/(z - decay); the difference from its conjugate has real coefficients
     numerator = late, early - late * decay.conjugate(), -early * decay.conjugate()
     both = [[(turn * one).imag for one in numerator] for turn in (omega**2 / pole.imag, omega * pole / pole.imag)]
     return both, (-2.0 * decay.real, abs(decay) ** 2)
 
 
 def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float, float]:
-    """Return the two coefficients of the numerator of a lag for a held input, to be multiplied by 1/z, and the pole.
+    """Return the two numerator coefficients of a lag for a held input, without the factor 1/z, and the pole.
 
     Units: ``lag``, ``sample_time`` [s]; ``part`` as in :func:`_held_mode`.
     """
@@ -262,8 +262,8 @@ def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float
 def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
     """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
 
-    They are sampled just before the input changes. ``frequency`` [Hz] and ``damping`` may be arrays, shape (K, 1); the
-    result then has the shape (K, n, 2). Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
+    The responses are sampled just before the input changes. ``frequency`` [Hz] and ``damping`` may be arrays, shape (K,
+    1); the result then has the shape (K, n, 2). Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
     back, shift, part = _shifted(frequencies, sample_time, delay)
     both, (d1, d2) = _held_mode(frequency, damping, sample_time, part)
@@ -304,7 +304,7 @@ def _least_squares(table, target) -> np.ndarray:
 
 
 class ModalSearch:
-    """Searches on one set of spectra."""
+    """Search for the parameters of structures, on one set of spectra."""
 
     def __init__(self, spectra: SegmentSpectra, variance=None):
         self.spectra = spectra
@@ -340,7 +340,7 @@ class ModalSearch:
 
     @property
     def scale(self) -> float:
-        """Factor that converts sums over folds and frequencies to a number of independent samples."""
+        """Factor that scales sums over folds and frequencies to the number of independent samples."""
         return self.spectra.samples / self.spectra.input.size
 
     def _without(self, fold: int) -> ModalSearch:
@@ -351,7 +351,7 @@ class ModalSearch:
         return ModalSearch(replace(spectra, **sums), self.variance)
 
     def unpack(self, structure: ModalStructure, values):
-        """Return lag, delay [s], and pairs (frequency [Hz], damping)."""
+        """Return lag [s], delay [s], and pairs (frequency [Hz], damping)."""
         values = list(values)
         lag = float(np.exp(values.pop(0))) if structure.lag else 0.0
         delay = float(self.T * values.pop(0)) if structure.delay else 0.0
@@ -365,7 +365,7 @@ class ModalSearch:
         return np.reshape(rows, (-1, 2)).T
 
     def part(self, structure: ModalStructure, values, coefficients) -> tuple[LinearPart, float]:
-        """Return the linear part with unit gain, and its separated gain."""
+        """Return the linear part with unit gain, and the gain separately."""
         lag, delay, pairs = self.unpack(structure, values)
         if structure.series:
             modes, gain = in_series(lag, pairs), float(coefficients[0])
@@ -377,7 +377,7 @@ class ModalSearch:
         return LinearPart(lag=lag, delay=delay, modes=modes, hold=self.T), gain
 
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
-        """Return the columns of which the response is a linear combination, shape (n, k)."""
+        """Return the columns whose linear combination is the response, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
         late = self.column_of_lag(lag, delay)
         both = [self.columns_of_mode(frequency, damping, delay) for frequency, damping in pairs]
@@ -418,7 +418,7 @@ class ModalSearch:
         return coefficients, coefficients @ rows - target
 
     def costs_with(self, columns, pairs) -> np.ndarray:
-        """Return the squared residual, shape (K,), with each of K pairs of columns, shape (K, n, 2), added."""
+        """Return the squared residual, shape (K,), after adding each of the K pairs of columns, shape (K, n, 2)."""
         table = self.weight[:, None] * columns
         rest = self.target - table @ _least_squares(table, self.target)
         flat = self.weight[:, None] * np.moveaxis(pairs, 0, 1).reshape(len(self.f), -1)
@@ -431,7 +431,7 @@ class ModalSearch:
         return np.sum(np.abs(rest) ** 2) - (bb * at**2 - 2.0 * ab * at * bt + aa * bt**2) / left
 
     def with_short_delays(self, trial: ModalTrial) -> np.ndarray:
-        """Return the values of a trial, with lag and delay replaced by typical short ones: two samples and one."""
+        """Return the values of a trial, with its lag replaced by two samples and its delay by one."""
         head = [np.log(2.0 * self.T)] * trial.structure.lag + [1.0] * trial.structure.delay
         return np.append(head, trial.values[len(head) :])
 
@@ -474,9 +474,9 @@ class ModalSearch:
     def slopes(self, structure: ModalStructure, values, here) -> np.ndarray:
         """Return the derivatives of the residual with respect to the values, shape (2 n, k); ``here`` is the residual.
 
-        The coefficients follow the values: with columns Φ, coefficients c and the residual r,
-        ΦᵀΦ dc = -(dΦᵀ r + Φᵀ dΦ c) (variable projection, Golub and Pereyra 1973). Only dΦ is a difference, so the
-        normal equations are solved once.
+        The coefficients depend on the values: with columns Φ, coefficients c and the residual r,
+        ΦᵀΦ dc = -(dΦᵀ r + Φᵀ dΦ c) (variable projection, Golub and Pereyra 1973). Only dΦ is a finite difference, so
+        the normal equations are solved once.
         """
         low, high = self.bounds(structure)
         columns, weight = self.columns(structure, values), self.weight[:, None]
@@ -497,8 +497,9 @@ class ModalSearch:
 
         The window correlates neighbouring lines; :func:`parameter_covariance` includes this correlation. The window
         also averages the response over :data:`WINDOW_WIDTH` lines, which makes resonances wider; the resulting shift of
-        the parameters is added to their deviations. With two modes and no lag there is no deviation of the delay: the
-        free numerators of the modes can represent half a sample of delay, so several delays are equally likely.
+        the parameters is added to their deviations (root sum of squares). With two parallel modes and no lag, no
+        deviation of the delay is returned: the free numerators of the modes can represent half a sample of delay, so
+        several delays are equally likely.
         """
         if not trial.values.size:
             return {}
@@ -518,7 +519,7 @@ class ModalSearch:
         return self.named(trial, np.hypot(np.sqrt(np.diag(covariance)), shift))
 
     def named(self, trial: ModalTrial, deviations) -> dict[str, float]:
-        """Return deviations of the search's values by name: lag, delay [s], frequencies [Hz] and dampings."""
+        """Return deviations of the search's values by name: lag [s], delay [s], frequencies [Hz] and dampings."""
         sizes = iter(deviations)
         lag, _, pairs = self.unpack(trial.structure, trial.values)
         found = {"lag": lag * next(sizes)} if trial.structure.lag else {}
@@ -531,7 +532,7 @@ class ModalSearch:
         return {name: float(size) for name, size in found.items()}
 
     def trial(self, structure: ModalStructure, values) -> ModalTrial:
-        """Return the trial with given poles."""
+        """Return the trial of a structure with these values."""
         columns = self.columns(structure, values)
         coefficients, _ = self.solve(columns)
         part, gain = self.part(structure, values, coefficients)
@@ -543,19 +544,19 @@ WHITENING, WHITENED = 40, 2
 #: Largest number of evaluations of the refinement in time. A sample is an outlier if its whitened residual is more than
 #: FAR times the median over AROUND samples.
 REFINEMENTS, FAR, AROUND = 12, 10.0, 101
-#: Residual relative to the output, below which no refinement is needed, and range of the number of samples for a
-#: refinement: fewer do not determine the whitening filter; for more, the segments of the spectra are so long that the
-#: window has little effect.
+#: Residual, relative to the output, below which no refinement is needed; range of the number of samples in which a
+#: refinement is made. Fewer samples do not determine the whitening filter; with more, the segments of the spectra are
+#: so long that the window has little effect.
 EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
 
 
 class TimeSearch(ModalSearch):
-    """Searches on the recording in time: output error of whitened samples.
+    """Search in the time domain: output error of whitened samples.
 
-    The window of the spectra takes power from the first and the last samples and makes resonances wider than they are;
-    both are large where a recording contains a resonance once, in a sweep or after a step. The residual is whitened by
+    The window of the spectra suppresses the first and the last samples and makes resonances wider than they are. Both
+    effects are large if the recording excites a resonance only once, by a sweep or a step. The residual is whitened by
     an autoregressive model, so that the slow errors of a hysteresis have little weight. A column of samples is stored
-    as complex pairs of neighbours, so that its rows of real and imaginary parts are the samples.
+    as complex numbers of two neighbouring samples each, so that its real and imaginary parts are the samples.
     """
 
     def __init__(self, spectra: SegmentSpectra, w, y, first: int):
@@ -582,11 +583,11 @@ class TimeSearch(ModalSearch):
         return found if self._basis is None else found - self._basis @ (self._basis.T @ found)
 
     def _column(self, values) -> np.ndarray:
-        """Return samples, shape (N,), filtered, with constant and line removed, as complex pairs, shape (n/2,)."""
+        """Return samples, shape (N,), filtered, without constant and linear trend, as complex pairs, shape (n/2,)."""
         return np.ascontiguousarray(self._filtered(values)).view(complex)
 
     def _late(self, delay: float) -> tuple[np.ndarray, float]:
-        """Return the input, late by 1 + the whole samples of a delay [s], and the remaining fraction of a sample."""
+        """Return the input, delayed by 1 + the whole samples of a delay [s], and the remaining fraction of a sample."""
         whole = int(np.floor(delay / self.T + 1e-9))
         count = min(whole + 1, len(self._w))
         return np.append(np.zeros(count), self._w[: len(self._w) - count]), max(delay / self.T - whole, 0.0)
@@ -615,7 +616,7 @@ class TimeSearch(ModalSearch):
         # outliers are isolated; where the model is wrong, as at a resonance, neighbouring samples are large, too
         around = scipy.ndimage.median_filter(size, AROUND)
         self._filter_by(whitening, size <= FAR * np.maximum(around, np.median(size)))
-        # the search ends where its gradient is small, so the residual must have the size of 1
+        # the search ends when the gradient is small, so the residual is scaled to a standard deviation of 1
         scale = float(np.std(self.residual(structure, values)))
         self.weight, self.target = self.weight / scale, self.target / scale
 
@@ -624,7 +625,7 @@ class TimeSearch(ModalSearch):
         return self.solve(self.columns(structure, values))[1]
 
     def refined(self, trial: ModalTrial) -> ModalTrial:
-        """Return a trial of the spectra, refined: with the values that fit the samples best, and their deviations."""
+        """Return a trial of the spectra, refined to the values that fit the samples best, with their deviations."""
         structure, values = trial.structure, trial.values
         if np.std(self.residual(structure, values)) <= EXACT * np.std(self._y):
             return trial
@@ -695,11 +696,12 @@ TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 TRIED_TOGETHER = 20
 #: Largest number of structures with the same number of modes that are compared on held-out segments.
 JUDGED = 3
-#: Number of evaluations after which the structures are compared for the first time, and number of those continued.
+#: Number of evaluations after which the structures are compared for the first time, and number of structures whose fit
+#: is continued.
 SCREENED, CONTINUED = 10, 4
-#: A larger structure must predict better in at least the fraction MAJORITY of the folds. Each added mode must also
-#: improve the prediction at frequencies within the factor NEARBY_FREQUENCY of its own; there only folds with at least
-#: the fraction LEAST_SHARE of the input's power count.
+#: A larger structure must predict better in at least the fraction MAJORITY of the folds. After modes were added, only
+#: folds count that have at least the fraction LEAST_SHARE of the input's power near these modes (within the factor
+#: NEARBY_FREQUENCY of their frequencies). Each added mode must also improve the prediction at the frequencies near it.
 MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
 #: Largest number of evaluations of a fit without one fold, which starts near its minimum.
 FEW_EVALUATIONS = 6
@@ -714,14 +716,14 @@ def choose_dynamics(
 ) -> ModalTrial:
     """Return the dynamics that predict held-out segments best; every additional parameter must improve the prediction.
 
-    ``accepted`` states which frequencies [Hz] a mode may have.
+    ``accepted`` returns whether a mode may have a given frequency [Hz].
     """
     search = ModalSearch(spectra)
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
     search.weigh(largest[0].response)
     low, high = search.mode_range
-    # with few samples per cycle no mode fits between the drive frequency and half of the sample rate
+    # a short recording leaves no frequency for a mode between the lowest one and half of the sample rate
     for _ in range(most_modes if 1.2 * low < high else 0):
         largest.append(_with_mode(search, largest[-1]))
     search.weigh(largest[-1].response)
@@ -743,12 +745,12 @@ def _choices(part: str, parts) -> tuple[bool, ...]:
 
 
 def _price(spectra: SegmentSpectra) -> float:
-    """Return by how much each additional parameter must increase twice the log-likelihood."""
+    """Return the increase of twice the log-likelihood that is required for each additional parameter."""
     return float(np.log(spectra.samples))
 
 
 def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
-    """Add parameters as long as each step is an improvement."""
+    """Return the trial found by adding parameters as long as each addition improves the prediction."""
     price = _price(spectra)
     order = sorted(judged, key=lambda pair: (pair[0].structure.numbers, pair[1].sum()))
     best, least = order[0]
@@ -764,7 +766,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
         ):
             best, least = trial, errors
     if best.structure.delay and not best.structure.lag:
-        # stages usually have a lag, so a lag is chosen if it is nearly as good
+        # positioners usually have a lag, so a lag replaces the delay if it predicts nearly as well
         for trial, errors in order:
             same = trial.structure == replace(best.structure, lag=True, delay=False)
             if same and errors.sum() - least.sum() < price:
@@ -783,7 +785,7 @@ def _majority(gain, spectra: SegmentSpectra, near) -> bool:
 
 
 def _added_modes(modes, present) -> list[Mode]:
-    """Return the modes that remain when, for each earlier mode, the one nearest in frequency is removed."""
+    """Return the modes that remain after removing, for each mode in ``present``, the mode nearest in frequency."""
     left = list(modes)
     for mode in present if len(modes) > len(present) else ():
         left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
@@ -815,7 +817,8 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
-    # each frequency also starts without lag and delay: values that represented the missing mode lead to a local minimum
+    # each frequency also starts with a short lag and delay: values that replaced the missing mode lead to a local
+    # minimum
     heads = (trial.values, search.with_short_delays(trial))
     for _, (frequency, damping) in sorted(found):
         if len(taken) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
@@ -849,7 +852,7 @@ def _best_variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool) -
 
 
 def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:
-    """Return the trial, and its structure's errors in each fold and frequency when fitted to the other folds only."""
+    """Return the trial, and its structure's errors in each fold and frequency after a fit to the other folds only."""
     spectra, found = search.spectra, []
     for fold in range(len(spectra.input)):
         others = search.without(fold)
@@ -860,7 +863,7 @@ def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.nd
 
 #: Numbers of poles and zeros of the named continuous models.
 CONTINUOUS = {"first_order": (1, 0), "second_order": (2, 0), "second_order_zero": (2, 1), "third_order": (3, 0)}
-#: Stages with a structure chosen by the user, with descriptions.
+#: Linear stages (dynamics after the hysteresis) whose structure the user chooses, with descriptions.
 STAGES = {
     "first_order": "continuous, 1 pole, by output error",
     "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
@@ -870,13 +873,13 @@ STAGES = {
     "arx2": "discrete, a1 a2 b0 b1, least squares",
     "frequency_response": "discrete, order chosen, matrix fraction on Welch's frequency response",
 }
-#: Name of the stage of lag, delay and modes whose structure is chosen by its prediction of held-out segments.
+#: Name of the linear stage with lag, delay and modes; its structure is chosen by the prediction of held-out segments.
 MODES = "modes"
 
 
 @dataclass(frozen=True, eq=False)
 class LinearStage:
-    """Dynamics of unit DC gain, and their separated gain."""
+    """Dynamics with unit DC gain, and the gain separately."""
 
     dynamics: LinearParameters
     gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units; :data:`MODES` have no offset.
@@ -908,7 +911,7 @@ def fit_stage(
     """Fit the dynamics between the output of the hysteresis and the measurement: one of :data:`STAGES`, or MODES.
 
     ``intersample`` and ``initial`` apply to continuous stages only; ``parts``, ``late``, ``zeros`` and ``accepted`` (a
-    function that states which frequencies [Hz] a mode may have) apply to :data:`MODES` only.
+    function that returns whether a mode may have a given frequency [Hz]) apply to :data:`MODES` only.
 
     Units: ``w`` [m], ``y`` [m], ``sample_time`` [s], ``late`` [samples].
     """
@@ -934,7 +937,7 @@ def fit_stage(
 
 
 def _modal_stage(spectra: SegmentSpectra, samples: tuple, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and accepted modes; refine any modes on the ``samples`` (w, y, first) in time."""
+    """Choose lag, delay and accepted modes; if there are modes, refine the fit on the ``samples`` (w, y, first)."""
     pair = tuple(part for part in PAIR if part in parts)
     found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
     if found.structure.modes and REFINED[0] <= spectra.samples <= REFINED[1]:
@@ -997,11 +1000,11 @@ FAST_SAMPLES = 12000
 #: Numbers of samples used for fast recordings: for the search for creep, and for the final weights.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
-#: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if, in one segment
-#: of the spectra, the voltage has LEAST_POWER of its power within BAND of the resonance frequency; a segment has at
-#: least CYCLES cycles.
+#: Up to this harmonic of the drive, the hysteresis loops themselves contain power. A resonance there counts only if the
+#: voltage excites it: in one segment, more than the fraction LEAST_POWER of the voltage's power is within the fraction
+#: BAND of the resonance frequency. A segment has at least CYCLES cycles.
 HARMONICS, CYCLES = 10, 4.0
-#: Damping below which a mode is a resonance, which a lag cannot represent.
+#: Damping ratio below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
 
 
@@ -1026,13 +1029,13 @@ class TurnSearch:
         self.creeps = tuple(part for part in self.parts if part == "creep")
 
     def run(self) -> HammersteinFit:
-        """Return the fit with the smallest residual."""
+        """Return the simplest fit, unless another fit has a clearly smaller residual."""
         found, kept = [], {}
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # sufficient to choose the dynamics after the hysteresis; with these dynamics the hysteresis structure is
-            # chosen again
+            # this structure suffices to choose the dynamics after the hysteresis; with these dynamics, settled()
+            # chooses it again
             kept = {"like": together.structure} if together.structure is not None else {}
             # if the samples do not resolve a lag or delay of one sample, they do not resolve faster dynamics either
             if not together.synchronous:
@@ -1061,7 +1064,7 @@ class TurnSearch:
         return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:
-        """Fit the hysteresis to the beginning of the recording: ``longest`` samples, or more to cover the range."""
+        """Fit the hysteresis to the first ``longest`` samples, or to more until they cover the voltage range."""
         v, count = self.voltage, None
         if longest is not None:
             near = 0.02 * np.ptp(v)
@@ -1070,7 +1073,7 @@ class TurnSearch:
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
     def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearStage:
-        """Choose the dynamics between ``moved``, their input of shape (N,), and the measured displacement."""
+        """Choose the dynamics from their input ``moved``, shape (N,), to the measured displacement."""
         how: dict[str, Any] = dict(parts=self.parts, late=late, zeros=zeros, accepted=self.excited)
         return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how)
 
@@ -1101,7 +1104,7 @@ class TurnSearch:
         """Alternately choose the dynamics after the hysteresis and refit the hysteresis and its creep.
 
         With ``sharp``, do this only if there is a resonance that the present fit cannot represent. The first iteration
-        chooses the structure of the hysteresis anew, unless ``like`` gives the structure of another fit.
+        chooses the structure of the hysteresis again, unless ``like`` gives the structure of another fit.
         """
         found: list[HammersteinFit] = []
         stage = None
@@ -1129,9 +1132,9 @@ class TurnSearch:
 
 
 def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, float]:
-    """Return the deviations of a stage, enlarged by its differences from the stage of the previous iteration.
+    """Return the deviations of a linear stage, enlarged by its differences from that of the previous iteration.
 
-    Errors of the hysteresis change the identified dynamics, but are not visible in the scatter of the response.
+    Errors of the hysteresis model change the identified dynamics, but are not visible in the scatter of the response.
     """
     earlier = {} if before is None else before.numbers
     return {
@@ -1141,7 +1144,7 @@ def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, f
     }
 
 
-#: A value within this fraction of a bound of its search counts as at the bound.
+#: A parameter counts as at a bound of its search if it differs from the bound by at most this fraction.
 AT_BOUND = 0.01
 
 
@@ -1162,7 +1165,7 @@ def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
 
 
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
-    """Return ``chain`` with dynamics and sample rate of the fast recording, and the gain of small movements.
+    """Return ``chain`` with the dynamics and the sample rate of the fast recording, and the gain of small movements.
 
     Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would
     represent this difference instead of the dynamics.

@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Measured frequency responses: estimates, their uncertainty, levels of nonlinear distortion, and files of them.
+"""Measured frequency responses: estimates, their uncertainty, levels of nonlinear distortion, and files.
 
-Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's method
-accepts any input; periodic multisines are averaged over periods and realisations.
+Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the averaged response.
+Welch's method accepts any input; periodic multisines are averaged over periods and realisations.
 
 With several inputs and outputs (:func:`response_matrix`), m inputs need at least m independent experiments at each
 line. These are either orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal matrix),
 or R ≥ m realisations with random phases at each input. Differences between the periods of a realisation are noise;
 differences between realisations are noise and nonlinear distortion. Both are stored as covariances of the outputs,
-because a disturbance of one sensor also affects its neighbours.
+because a disturbance usually affects several sensors.
 
 In a closed loop the noise of the output is fed back to the input, which biases S_yu S_uu⁻¹ towards the inverse of the
 controller. S_ye S_ue⁻¹ has no such bias, because the external excitation e is uncorrelated with the noise (indirect
@@ -66,7 +66,7 @@ class FrequencyResponse:
     frequency: np.ndarray  #: shape (F,) [Hz]
     response: np.ndarray  #: shape (F, n_y, n_u); Complex, output unit per input unit.
     sample_time: float  #: Sample time of the data [s].
-    #: shape (F, n_y, n_u); Variance of the response by noise and nonlinear distortion together, [(output unit/input
+    #: shape (F, n_y, n_u); Variance of the response due to noise and nonlinear distortion together, [(output unit/input
     #: unit)²]; None if it cannot be estimated.
     total_variance: np.ndarray | None = None
     noise_variance: np.ndarray | None = None  #: shape (F, n_y, n_u); Noise alone, from the differences of the periods.
@@ -94,7 +94,7 @@ class FrequencyResponse:
     def radius(self, probability: float = 0.95) -> np.ndarray:
         """Return the radius of the circle around each entry that contains the true value with this probability.
 
-        |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance of ν complex degrees of freedom [1]_.
+        |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance with ν complex degrees of freedom [1]_.
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
         if variance is None or self.degrees is None:
@@ -176,9 +176,9 @@ def _spectra(both, sample_time, segment, step, window):
         [scipy.signal.csd(both[:, i], both[:, j], **options) for j in range(both.shape[1])]
         for i in range(both.shape[1])
     ]
-    # SciPy's csd(a, b) is conj(a) b: transposed, so that S[i, j] is the spectrum of i against j
+    # SciPy's csd(a, b) averages conj(a) b; after the transposition, S[i, j] is the average of i conj(j)
     S = np.array([[spectrum for _, spectrum in row] for row in pairs]).transpose(2, 1, 0)
-    # the line at half the sample rate is real for a real signal: it has no phase
+    # omits the mean, and half the sample rate, where the spectrum of a real signal is real and has no phase
     kept = slice(1, -1 if segment % 2 == 0 else None)
     return pairs[0][0][0][kept], S[kept]
 
@@ -275,7 +275,7 @@ def _poor_coherence(coherence):
 
 
 def _effective_averages(count, segment, step, window):
-    """Return how many independent segments give the variance of ``count`` overlapping ones (Welch, eq. 16)."""
+    """Return the number of independent segments with the variance of ``count`` overlapping segments (Welch, eq. 16)."""
     shape = scipy.signal.get_window(window, segment)
     correlation = (shape[step:] @ shape[: segment - step] / (shape @ shape)) ** 2
     return count / (1.0 + 2.0 * correlation * (count - 1) / count)
@@ -326,7 +326,7 @@ class ResponseMatrix:
     condition: np.ndarray  #: shape (F,); Condition number of the inputs' spectra over the realisations.
 
     def level(self, covariance) -> np.ndarray:
-        """Return the RMS value [m] of each output, shape (q,), for a covariance summed over the lines."""
+        """Return the RMS value [m] of each output, shape (q,), from a covariance, summed over the lines."""
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:
@@ -416,8 +416,8 @@ class Distortion:
 def detected(U, Y, harmonics, response) -> Distortion:
     """Return noise and distortion levels of a multisine on odd lines, some of which are omitted (detection lines).
 
-    A distortion level is NaN if no lines are omitted, or if even lines are excited too: no line then shows only
-    distortion.
+    The level of odd distortion is NaN if no odd lines are omitted. Both levels are NaN if even lines are excited,
+    because no line then contains only distortion.
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -446,7 +446,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
 
 
 def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
-    """Return |mean over the periods|² of each line, averaged over the realisations, and the noise in it."""
+    """Return the power of each line's mean over the periods, averaged over the realisations, and its noise power."""
     periods = rest.shape[1]
     power = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
     noise = np.mean(np.var(rest, axis=1, ddof=1), axis=0) / periods
@@ -454,7 +454,7 @@ def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
 
 
 def near_level(harmonics, seen, clear) -> np.ndarray:
-    """Return at each excited line the RMS of the significant levels at the nearest detection lines."""
+    """Return, at each excited line, the RMS level at the nearest detection lines; ``clear`` is power without noise."""
     if not seen.size:
         return np.full(harmonics.size, np.nan)
     count = min(NEAREST, seen.size)
@@ -465,7 +465,7 @@ def near_level(harmonics, seen, clear) -> np.ndarray:
 
 #: Smallest accepted median, over the lines, of the signal-to-noise ratio of the response [dB].
 LEAST_RATIO = 6.0
-#: Two sections of a signal are its periods if the median of their difference is below this fraction of the standard
+#: Two sections of a signal count as periods if the median of their difference is below this fraction of the standard
 #: deviation of the signal.
 SAME = 0.03
 #: Lines of a recorded excitation below this fraction of its strongest line are attributed to late samples or rounding.
@@ -568,7 +568,7 @@ def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
-    # error of the response by the window: variance of the Hann window (a third of a line squared) times the curvature
+    # error of the response due to the Hann window: half the variance of its spectrum (1/3 line²) times the curvature
     bent = np.abs(np.diff(found.single, 2)) / 6.0
     blurred = bent > found.radius()[1:-1, 0, 0]
     if blurred.any():
@@ -637,7 +637,7 @@ def _repeats(e) -> int | None:
     return None
 
 
-#: Probability of the circles in tables.
+#: Probability of the confidence circles in tables.
 PROBABILITY = 0.95
 #: Required entries of an NPZ file.
 NEEDED = ("frequency", "response", "sample_time", "input_unit", "output_unit", "kind")
@@ -646,7 +646,7 @@ LEVELS = ("noise", "odd", "even")
 
 
 def require_response_file(path) -> None:
-    """Refuse a file that cannot be written, before any movement."""
+    """Refuse a response file that cannot be written; called before any movement."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
@@ -655,7 +655,7 @@ def require_response_file(path) -> None:
 
 
 def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
-    """Write a response in the format of the suffix."""
+    """Write a response in the format given by the file's suffix."""
     table = response_columns(found)
     extra = {} if pathlib.Path(path).suffix.lower() == ".yaml" else columns
     write_response_file(path, _arrays(found, columns), table | extra, figures)
@@ -671,7 +671,7 @@ def write_response_file(path, arrays: dict[str, Any], table: dict[str, np.ndarra
 
 @contextlib.contextmanager
 def reading_response(path, missing: str, origin: str) -> Iterator[None]:
-    """Raise an error for a response file that does not exist or has ``missing``; name the command that writes one."""
+    """Raise RecordingError for a file that does not exist or contains ``missing``; name the command that writes one."""
     try:
         yield
     except FileNotFoundError:
@@ -693,7 +693,7 @@ def load_response(path) -> Analysis:
 
 
 def _response_of(held: dict[str, np.ndarray]) -> Analysis:
-    """Return the response in arrays; ValueError or KeyError if they contain none."""
+    """Return the response that arrays contain; raise ValueError or KeyError if they do not contain one."""
     frequency, sample_time = real_array(held, "frequency"), real_array(held, "sample_time")
     input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
     if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
@@ -718,7 +718,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
 
 
 def real_array(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
-    """Return an array of real numbers as a vector; ValueError if it has another type or size."""
+    """Return an array of real numbers as a vector; raise ValueError if it has another type or size."""
     array = held[name]
     if (
         array.dtype.kind not in "iuf"

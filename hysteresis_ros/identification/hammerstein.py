@@ -96,14 +96,14 @@ class HammersteinFit(PlantModel):
 def search_linear_part(search: PartSearch, linear, guess=None):
     """Accept lag, creep and delay one after the other, each if it lowers the residual enough.
 
-    ``guess`` holds values from which the searches start, by name.
+    ``guess`` holds initial values of the searches, by name.
     """
     known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
-    # a remanent actuator had rested before the recording; for an actuator at rest at 0 V, creep starts at zero, too
+    # the creep of a remanent actuator had settled before the recording; after rest at 0 V, creep starts at zero
     settled = known.settled or bool(data.history)
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)
@@ -133,12 +133,13 @@ def search_linear_part(search: PartSearch, linear, guess=None):
 
 
 def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
-    """Replace lag and delay by only one of them if both together fit hardly better."""
+    """Keep only the lag or only the delay if both together fit hardly better."""
     others = [part for part in kept if part not in ("lag", "delay")]
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
-    # stages usually have a lag: a delay must be clearly visible, and both together must be better than either alone
+    # positioners usually have a lag: a delay must be clearly visible, and both together must be better than either
+    # alone
     as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
     if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
         return [*others, "delay"], _less_certain(delayed, found)
@@ -290,7 +291,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None, clipped=None) -
     error = error_of(part)
     constant = float(error[used].mean())
     error = (error if clipped is None else np.where(clipped, constant, error))[first:] - constant
-    # constant errors, from the half sample and from the table, are added to the offset
+    # constant errors, from the half-sample delay and from the tabulated map, are added to the offset
     chosen: Any = hysteresis.chosen  # the class of the parameters depends on the model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
     own: dict[str, Any] = {hysteresis.type: chosen}
@@ -330,12 +331,12 @@ def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
 def robust_fit(
     voltage, displacement, sample_time: float, choose, again=None, *, skip=None, history=(), before=None
 ) -> tuple[HammersteinFit, Any]:
-    """Return the fit without outliers, their number, and the fitted structure.
+    """Return the fit without outliers, and the fitted structure.
 
     ``choose(data)`` finds a structure on blocks of the recording. ``again(before, data, settled)`` fits the same
-    structure without the outliers, with or without a drift as before; without ``again`` the structure is chosen anew.
-    ``settled`` is true from the second repetition on, when few outliers are left: the structure of the dynamics is then
-    not changed any more.
+    structure without the outliers, with or without a drift as before; without ``again`` the structure is chosen again.
+    ``settled`` is true from the second repetition on, when few outliers are left: the structure of the dynamics then no
+    longer changes.
     """
     structure, repetitions = before, 0
     clipped = clipped_samples(np.asarray(displacement, dtype=float), np.asarray(voltage, dtype=float))
@@ -406,7 +407,7 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
 
 
 def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Threshold] = (STRUCTURE,)):
-    """Return the fit to keep, and the RMS errors of all fits on held-out parts [m]."""
+    """Return the chosen fit, and the RMS errors of all fits on held-out parts [m]."""
     chosen, least, sizes = fits[0], None, []
     rows = list(thresholds) * (len(fits) if len(thresholds) == 1 else 1)
     for fit, threshold in zip(fits, rows, strict=True):
@@ -433,7 +434,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters form a valid model; without such fits, raise the error of the first one."""
+    """Return the fits whose parameters form a valid model; if there are none, raise the error of the first fit."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])
@@ -448,7 +449,7 @@ def require_rising(scale: float) -> None:
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, with a drift if it is more than creep and held-out blocks show the same drift."""
+    """Return ``fit(data)``, with a drift if it exceeds creep and improves the prediction of held-out blocks."""
     still = fit(data)
     if invalid(still) is None and not seen_drift(still).certain:
         return still

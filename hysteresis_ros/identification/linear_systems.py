@@ -14,10 +14,10 @@ slowly sampled monitor signal) or band-limited (a multisine below the Nyquist fr
 
 *Linear part* of a Hammerstein model (:class:`LinearPart`): creep, a first-order lag, modes, and a delay. The
 displacement is assumed linear between samples, so lags shorter than a sample can be distinguished; dynamics that were
-identified for the held voltage itself (``hold``) are exact for it. The filters process all columns of regressors
-together (:func:`filtered`), by recursion over the samples. This takes a fifth of the time of a convolution by FFT,
-because one sample of all columns stays in the cache, and makes joint fits of hysteresis and dynamics fast. :func:`undo`
-inverts the linear part.
+identified for a held voltage (``hold``) are simulated exactly for a held voltage. The filters process all columns of
+regressors together (:func:`filtered`), by recursion over the samples. This takes a fifth of the time of a convolution
+by FFT, because one sample of all columns stays in the cache, and makes joint fits of hysteresis and dynamics fast.
+:func:`undo` inverts the linear part.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Section(NamedTuple):
 
 
 def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
-    """Return the sum of the outputs of sections, initially at rest, for each column, shape (N, m)."""
+    """Return, for each column, the sum of the outputs of all sections, which start at rest; shape (N, m)."""
     columns = np.ascontiguousarray(columns, dtype=float)
     direct = sum(section.b0 for section in sections)
     recursive = [section for section in sections if any(section[1:])]
@@ -112,7 +112,7 @@ class Mode:
     velocity: float = 0.0
 
     def state_space(self):
-        """Return the continuous A, shape (2, 2), B, shape (2,), and C, shape (2,), in rad/s: a decaying rotation."""
+        """Return the continuous A, shape (2, 2), B, shape (2,), and C, shape (2,) [rad/s]; A is a decaying rotation."""
         omega = 2.0 * np.pi * self.frequency
         real, turn = -self.damping * omega, omega * np.sqrt(1.0 - self.damping**2)
         A = np.array([[real, turn], [-turn, real]])
@@ -252,7 +252,7 @@ METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
 #: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
 MARGIN = 64
-#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window over them.
+#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window.
 #: CLOSE has the highest accuracy up to a quarter of the sample rate; SHARP is for inputs up to nearly half of the
 #: sample rate.
 CLOSE, SHARP = (10, 12.0), (32, 8.0)
@@ -428,11 +428,11 @@ def simulate_transfer_function(
     return simulation.bases(np.asarray(u, dtype=float), len(numerator) - 1, initial, delay) @ numerator[::-1]
 
 
-#: Smallest lag, as a fraction of the sample time; smaller ones are neglected.
+#: Smallest lag, as a fraction of the sample time; smaller lags are neglected.
 SHORTEST_LAG = 0.02
 #: Smaller creep rates than this are neglected.
 SMALLEST_RATE = 1e-5
-#: Number of cached impulse responses.
+#: Number of modes whose filter sections are cached.
 RESPONSES = 16
 
 
@@ -447,9 +447,9 @@ class LinearPart:
     #: True: creep had settled at the first sample; false: the system was at rest at zero before it.
     settled: bool = False
     modes: tuple[Mode, ...] = ()  #: Modes; the remaining displacement passes through the lag.
-    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then describe the stage
-    #: alone. 0: the input was assumed linear between the samples, and the delay includes the half sample by which
-    #: holding delays.
+    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then do not include the
+    #: delay of the hold. 0: the input was assumed linear between the samples, and the delay includes the half-sample
+    #: delay of the hold.
     hold: float = 0.0
 
     @property
@@ -496,7 +496,7 @@ class LinearPart:
 
     @property
     def group_delay(self) -> float:
-        """Delay of slow movement [s] by lag, modes and delay, without creep."""
+        """Delay of slow movement [s] due to lag, modes and dead time, without creep."""
         omega = 2.0 * np.pi * np.array([mode.frequency for mode in self.modes])
         late = [2.0 * mode.damping * mode.position - mode.velocity for mode in self.modes]
         direct = 1.0 - sum(mode.position for mode in self.modes)
@@ -516,7 +516,7 @@ class LinearPart:
         return feedthrough + float(np.sum(weights))
 
     def described(self) -> tuple[dict[str, float], list[str]]:
-        """Return the figures, by names with units, and the description as texts."""
+        """Return the figures, by names with units, and the names of the parts."""
         numbers = {}
         words = []
         if self.lag > 0.0:
@@ -537,8 +537,8 @@ class LinearPart:
     def dynamics(self, sample_time: float) -> LinearParameters:
         """Return lag, modes and delay as the discrete block of a node; the input of this block is held between samples.
 
-        Holding the input adds a delay; it is subtracted from the dead time, and what remains of it from the lag, so
-        that the delay of slow movement does not change.
+        Holding the input adds a delay. It is subtracted from the dead time and, if that is too short, the rest from the
+        lag, so that the delay of slow movement does not change.
 
         Units: ``sample_time`` [s].
         """
@@ -563,7 +563,7 @@ class LinearPart:
     def held(self, sample_time: float) -> LinearPart:
         """Return the linear part for an input that is held between the samples; its discrete block is the same.
 
-        Lag and delay then describe the stage alone, without the half sample by which holding delays.
+        Lag and delay then do not include the half-sample delay of the hold.
 
         Units: ``sample_time`` [s].
         """
@@ -573,7 +573,7 @@ class LinearPart:
         return replace(self, lag=float(lag), delay=float(delay), hold=float(sample_time))
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay without the effect of holding; with it, a lag delays by T/(1 - e^(-T/τ)), not by τ."""
+        """Return lag and delay without the effect of holding; a held lag delays by T/(1 - e^(-T/τ)) instead of τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -613,7 +613,7 @@ def _table(columns) -> np.ndarray:
 
 
 def _delayed(columns, samples: float) -> np.ndarray:
-    """Return the columns, shape (N, m), later by a number of samples, interpolated linearly and zero before."""
+    """Return the columns, shape (N, m), delayed with linear interpolation, and zero before their first sample."""
     whole = int(samples + 1e-9)
     part = max(samples - whole, 0.0)
     if not whole and part < 1e-9:
@@ -691,7 +691,7 @@ def _held_mode(mode: Mode, sample_time: float, early: float) -> Section:
 
 
 class Known(NamedTuple):
-    """The linear part of a fit of a hysteresis, when it is already known."""
+    """A linear part that is already known when a hysteresis is fitted."""
 
     part: LinearPart
     parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are nevertheless searched.
@@ -713,7 +713,7 @@ SMALLEST_RESPONSE = 0.1
 
 
 def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), with which lag, delay and modes give the output ``y``.
+    """Return the input, shape (N,), for which lag, delay and modes give the output ``y``.
 
     ``y`` is smoothed only as much as the inversion needs.
 
@@ -731,7 +731,7 @@ def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
 
 
 def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), with which a lag and a delay in series give the output ``y``.
+    """Return the input, shape (N,), for which a lag and a delay in series give the output ``y``.
 
     ``y`` is smoothed only as much as its derivative needs.
 
@@ -750,7 +750,7 @@ def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
 
 
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), that becomes ``y`` by creep; step by step, as in the compensator.
+    """Return the displacement [m], shape (N,), that creep turns into ``y``, sample by sample as in the compensator.
 
     Units: ``sample_time`` [s].
     """

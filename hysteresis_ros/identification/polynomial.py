@@ -9,7 +9,7 @@
 
 """Identification of the polynomial branch model and of the preload curve (Kim, Kim & Park 2009; K2, K3).
 
-K2: triangles of growing peak are cut into loops. The branches of each loop are fitted by parabolas, and the
+K2: triangles with growing peaks are cut into loops. The branches of each loop are fitted by parabolas, and the
 coefficients of these parabolas become quadratics of the peak voltage V_max. Two conditions make the branches
 continuous:
 
@@ -153,7 +153,8 @@ NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 LOWEST_PART = -0.35
 #: Smallest slope of a constrained fit, as a fraction of the mean slope.
 SMALLEST_SLOPE = 0.02
-#: Number of steps of Lawson's reweighting, and smallest residual of a sample, as a fraction of the largest.
+#: Number of steps of Lawson's reweighting, and fraction of the largest residual that is added to every residual when
+#: the weights are updated, so that no weight vanishes.
 REWEIGHTINGS = 30
 LEAST_WEIGHT = 0.15
 #: Ratio of residual to noise above which the residual is attributed to the shape of the loops.
@@ -200,7 +201,7 @@ def _basis(count: int) -> np.ndarray:
 
 
 def _simulated(voltage, coefficients) -> np.ndarray:
-    """Return the output, shape (N,), of the model with any 21 coefficients, also unphysical ones."""
+    """Return the output, shape (N,), of the model with any 21 coefficients, including unphysical ones."""
     p = np.append(coefficients, 1.0)
     x = np.zeros(STATES)
     x[DISPLACEMENT] = x[TURN_DISPLACEMENT] = p[VIRGIN]
@@ -280,7 +281,7 @@ def _with_prior(weight, matrix, wanted):
 
 
 def _monotone(theta, matrix, wanted, slopes, smallest):
-    """Return the least-squares θ with slopes of at least ``smallest``, and whether it was found."""
+    """Return the least-squares θ with slopes of at least ``smallest``, and whether all its slopes are positive."""
     from scipy.optimize import minimize  # imported here because only fits need it
 
     q, r = np.linalg.qr(matrix)
@@ -431,7 +432,7 @@ FEWEST_POINTS = 4
 class PreloadIdentification:
     """Result of :func:`identify_preload`."""
 
-    parameters: PreloadParameters  #: A1, B1 and B2, and as ``force`` the preload in use.
+    parameters: PreloadParameters  #: A1, B1 and B2, and the preload in use (``force``).
     covariance: np.ndarray  #: shape (3, 3); Covariance of A1, B1 and B2.
     rms: float  #: Residual [m].
     stiffness: float  #: -1/(B1 + 2 B2 L0) [N/m], at the middle L0 of the recorded preloads.
@@ -478,7 +479,7 @@ def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIden
 
 
 def preload_of_offset(preload: PreloadParameters, offset: float) -> float:
-    """Return the preload L0 [N] whose W is ``offset`` [m]: the root of eq. 3 next to zero preload."""
+    """Return the preload L0 [N] whose W is ``offset`` [m]: the root of eq. 3 nearest to zero preload."""
     rise = offset - preload.A1
     discriminant = preload.B1**2 + 4.0 * preload.B2 * rise
     if discriminant >= 0.0 and preload.B1 != 0.0:

@@ -17,7 +17,7 @@ with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage). T
 recording, passes through a cubic map ``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2``. The map bends both branches equally,
 which plays cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares.
 Loops of a single amplitude hardly distinguish κ from the map. κ therefore keeps the value :data:`PRIOR_DECAY`, which is
-typical of other stacks, unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
+typical of piezo stacks, unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
 realised by plays and the map by dead zones, so nodes run this model like any other Prandtl-Ishlinskii model.
 
 *Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
@@ -77,7 +77,8 @@ SEARCH_STEPS = 2
 CONVERGED = 1e-5
 #: Smallest slope of the sum of all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
-#: Penalty on the slopes that dead zones add, as RMS residual over stroke; it keeps unnecessary slopes near zero.
+#: Penalty on the slopes that dead zones add, as a ratio of RMS residual to stroke; it keeps unnecessary slopes near
+#: zero.
 ZONE_RIDGE = 1e-3
 
 
@@ -96,7 +97,7 @@ class FreeWeights(PlayFit):
         return self.plays
 
     def search(self, progress) -> PartSearch:
-        """Return the search for the linear part; with dead zones the residual is solved for every neighbour."""
+        """Return the search for the linear part; with dead zones, each neighbour's residual is solved separately."""
         if not self.zone_count:
             return super().search(progress)
 
@@ -293,8 +294,8 @@ class SmoothDensity:
 
         Each neighbour is a pair (linear part, shape parameters).
 
-        Scale and constants are solved again for each neighbour (variable projection in the simplification of Kaufman,
-        BIT 15, 1975, in which the gradient of the squared residual is exact).
+        Scale and constants are solved again for each neighbour (variable projection as simplified by Kaufman, BIT 15,
+        1975; the gradient of the squared residual remains exact).
         """
         table, frame = self.table, (self.centre, self.span)
         changes = self.scale * self.data.counted(
@@ -312,7 +313,7 @@ class SmoothDensity:
         return self._map(sums, shape) - self._map(0.0, shape)
 
     def _weights(self, shape) -> np.ndarray:
-        """Return the weights of voltage and plays with which each part moves by about its fraction of the motion."""
+        """Return the weights of voltage and plays, for which each part moves by about its fraction of the motion."""
         density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
         moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
         share = shape["elastic_share"]
@@ -385,7 +386,7 @@ class SmoothDensity:
 
 PLAYS = 20
 ZONES = 5
-#: Forms of the weights over the radius.
+#: Forms of the weights as a function of the radius.
 DENSITIES = ("auto", "exponential", "free")
 
 
@@ -507,11 +508,11 @@ class Ambiguity:
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return the deviation of densities and maps that fit equally well from the model; None if only the model fits."""
+    """Return the deviation between the model and other densities that fit equally well; None if there are none."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     if chosen.type == "preisach" and least > POOR * data.stroke:
-        return None  # these densities say nothing about such loops
+        return None  # these densities cannot describe such loops
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
     # at the speed of the recorded loops, because the loops of a rate-dependent model change with the speed
     sample_time = float(np.mean(np.abs(np.diff(voltage)))) / _speed(data)
@@ -543,7 +544,7 @@ def _decaying(low: float, high: float) -> np.ndarray:
 
 
 def _speed(data: Condensed) -> float:
-    """Return the speed [V/s] of the voltage between the ends of its large loops: the median of the mean speeds."""
+    """Return the speed [V/s] of the voltage between the ends of its large loops: the median over the branches."""
     turns = turning_points(data.voltage, LARGE)
     return float(np.median(np.abs(np.diff(data.voltage[turns])) / np.diff(turns))) / data.sample_time
 

@@ -7,15 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preprocessing of data for fits, with its stages in order.
+"""Preprocessing of data for fits: the steps in their order.
 
-1. :func:`prepared`, once for each recording: stamps that jitter around a uniform grid are corrected (:func:`steadied`).
+1. :func:`prepared`, once for each recording: time stamps that jitter around a uniform grid are corrected
+(:func:`steadied`).
    Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated (:func:`resample`). Missing
    samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
-   shows most of the loops, and averages neighbouring samples as long as this removes only noise.
+   contains most of the different loops, and averages neighbouring samples as long as this removes only noise.
 2. Voltage history before the recording: samples are omitted until the voltage has been near both ends of its range
-   (:func:`wiped_out`), or the voltage that left the actuator remanent is identified (:func:`remanent_voltage`).
-3. :func:`condense`, for each fit of plays: averages over blocks of samples, as long as the loops allow. Models with a
+   (:func:`wiped_out`), or the earlier voltage that caused a remanent displacement is identified
+   (:func:`remanent_voltage`).
+3. :func:`condense`, for each fit of plays: averages over blocks of samples, as large as the loops allow. Models with a
    law for each branch use :func:`split_branches` instead.
 4. :func:`repeated`, around each fit: outliers and drift are found in the residual of the fit and removed, and the fit
    is repeated. Fits of plays omit outliers and have a column for the drift. Other models need complete branches, so
@@ -80,7 +82,7 @@ SHORT_GAP, LONG_ENOUGH = 3, 0.3
 
 
 def steadied(data: IdentificationData) -> IdentificationData:
-    """Return the data on a uniform grid if the signals show that only their stamps jitter.
+    """Return the data on a uniform grid if the signals show that only the time stamps jitter.
 
     A computer often stamps a sample late although the converter took it at the right time. Each sample is predicted by
     the cubic through the two samples before and the two after it, once with the recorded stamps and once with equal
@@ -112,7 +114,7 @@ def steadied(data: IdentificationData) -> IdentificationData:
 
 
 def uninterrupted(data: IdentificationData) -> IdentificationData:
-    """Return data on a uniform grid without gaps: with short gaps bridged, or the longest part without a gap.
+    """Return data on a uniform grid without gaps: short gaps are bridged, or the longest part without a gap is used.
 
     The input during a longer gap is unknown, and so is the memory of a hysteresis after the gap. Samples without input
     or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
@@ -244,11 +246,11 @@ FEWEST_REDUCED = 6000
 STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
 #: An interval with at least this fraction of the information of the best one counts as equally good.
 AS_GOOD = 0.9
-#: Number of tried beginnings of the interval.
+#: Number of start samples that are tried for the interval.
 TRIED = 20
 #: Number of levels by which turning points are distinguished.
 LEVELS = 20
-#: Largest amplitude that averaging may remove, above the remaining band, as a fraction of the signal …
+#: Largest RMS content that averaging may remove, as a fraction of the signal's standard deviation …
 LOST = 3e-4
 #: … and smallest ratio of the new sample rate to the highest frequency that is kept.
 OVERSAMPLING = 8.0
@@ -265,7 +267,8 @@ ABOVE_FLOOR = 3.0
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
     """Return an interval of long data with neighbouring samples averaged, and a note; return short data unchanged.
 
-    Each returned sample is at the middle of the averaged ones; :attr:`IdentificationData.factor` is their number.
+    Each returned sample is at the middle of the samples averaged into it; their number is
+    :attr:`IdentificationData.factor`.
     """
     if len(data) <= MOST_SAMPLES:
         return data
@@ -358,8 +361,8 @@ def highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: Length of the interval whose median is subtracted from each sample. If most of an interval deviates, its samples are
-#: not outliers.
+#: Length [samples] of the interval whose median is subtracted from each sample. If most of an interval deviates, its
+#: samples are not outliers.
 STRETCH = 11
 #: An outlier differs from its neighbours by at least this fraction of its error.
 AWAY = 0.5
@@ -411,7 +414,7 @@ def inliers(error, first: int) -> np.ndarray:
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     good = _within(error, first) | _within(alone, first)
-    # the peak of a smooth error is near its neighbours, even if the noise is smaller than their difference
+    # the peak of a smooth error is no outlier: it is close to its neighbours, even if the noise is smaller still
     good |= np.abs(alone) < AWAY * np.abs(error - np.median(error[first:]))
     # ringing too fast for a median filter is not an outlier: it affects many samples close together
     width = 2 * STRETCH + 1
@@ -427,9 +430,10 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
-    """Return which samples are not outliers, shape (N,) of bool; None if outliers are too many, or hardly matter.
+    """Return which samples are not outliers, shape (N,) of bool; None if they are too many, or hardly matter.
 
-    They matter if they cause enough of the squared error of the samples that are still in use, ``known``.
+    Outliers matter if they cause at least the fraction OUTLIERS_MATTER of the squared error of the samples that are
+    still used (``known``).
     """
     good = inliers(error, first)
     used = np.ones(len(error), dtype=bool) if known is None else known.copy()
@@ -443,7 +447,7 @@ def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
 
 
 def repeated(fit, look, state):
-    """Return data state and result of ``fit(state, before)``, repeated until ``look`` finds nothing new.
+    """Repeat ``fit(state, before)`` until ``look`` finds nothing new; return the last state of the data and the result.
 
     ``look(result, state)`` returns the data without the outliers and the drift that the result shows, or None if
     unchanged.
@@ -458,7 +462,7 @@ def repeated(fit, look, state):
 
 
 def drift_of(error, kept) -> float:
-    """Return the drift of an error, shape (N,), per sample; 0 if a drift does not predict held-out blocks."""
+    """Return the drift of an error, shape (N,), per sample; 0 if it does not help to predict held-out blocks."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -496,9 +500,9 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     return Cleaned(replace(data, output=predicted + error), drift, int(np.count_nonzero(~good)))
 
 
-#: Blocks of samples are averaged, at most until the voltage moves by this fraction of its range from block to block …
+#: Largest step of the voltage from block to block, as a fraction of its range, when blocks of samples are averaged …
 LARGEST_STEP = 0.02
-#: … and only as far as necessary for this number of samples.
+#: … and number of samples that must remain.
 ENOUGH_SAMPLES = 6000
 #: The memory of earlier inputs counts as erased when the input has come this close to both ends of its range (fraction
 #: of the range); the fit starts there.
@@ -520,7 +524,8 @@ class Condensed:
     first: int  #: First sample whose residual counts.
     factor: int  #: Number of samples of the recording in each average.
     kept: np.ndarray  #: shape (N - first,); Which of the samples from ``first`` on are not outliers.
-    #: First counted sample that the voltage history before the recording does not affect; None if it affects all.
+    #: First counted sample that the voltage history before the recording does not affect; None if it affects all
+    #: samples.
     erased: int | None = 0
     drifts: bool = False  #: Whether the displacement may contain a linear drift in addition to a constant.
     #: Voltages [V] before the first sample, starting from rest at 0 V; they determine the memory of the hysteresis.
@@ -553,7 +558,7 @@ class Condensed:
 
     @property
     def reach(self) -> float:
-        """Radius [V] from which on a play never moves: half the range, or for a start from rest the largest voltage."""
+        """Radius [V] above which no play moves: half the range, or, after a start from rest, the largest voltage."""
         half = 0.5 * self.voltage_range
         return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Procedures of the models, one per model: from checked data and a request to a chain of blocks.
+"""Identification procedures, one per model: from checked data and a request to a chain of blocks.
 
 Play-type models are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
 model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
@@ -79,7 +79,7 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.units import readable, shown_unit
 
-#: Number of widths of the density when histories before the recording are tried.
+#: Number of widths of the density when voltage histories before the recording are tried.
 TRIED_WIDTHS = 10
 #: Number of samples for the computation of the ambiguity.
 COARSE_SAMPLES = 2000
@@ -117,12 +117,12 @@ def preisach(data: IdentificationData, request: Request) -> Identification:
 
 
 def generalised_play(data: IdentificationData, request: Request) -> Identification:
-    """Fit plays between envelopes, whose thresholds grow with the rate, together with lag, delay and creep."""
+    """Fit generalised plays (with envelopes and rate-dependent thresholds) together with lag, delay and creep."""
     return _hammerstein(fit_generalised_play, data, request, _numbers_of_plays)
 
 
 def _numbers_of_plays(parameters) -> int:
-    """Return the number of fitted parameters: weights, dead zones or envelopes and rate, and a constant."""
+    """Return the number of fitted parameters: weights, a constant, and either dead zones or envelopes and rate."""
     if isinstance(parameters, PreisachParameters):
         return FREE_CELLS * (FREE_CELLS + 1) // 2 + 2
     between = 4 if isinstance(parameters, GeneralisedPlayParameters) else len(parameters.zone_weights)
@@ -134,7 +134,7 @@ SEPARATING = ("prandtl_ishlinskii", "preisach")
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
-    # the stage includes the lag; the hysteresis is fitted with a lag, too, so that it does not absorb the stage's lag
+    # the linear stage includes a lag; the hysteresis is fitted with a lag, too, so that it does not absorb this lag
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
 
@@ -170,9 +170,9 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
 
 
-#: Weight of the difference between the mean square error on held-out parts and that of the fit. Held-out parts lie
-#: between fitted ones; on other loops, errors of the parameters have more effect than there. The weight was chosen on
-#: 40 simulated plants of other model classes, see docs/identification.md.
+#: Weight of the excess of the mean square error on held-out parts over the mean square error of the fit. Held-out parts
+#: lie between fitted parts; errors of the parameters have more effect on other loops than on these parts. The weight
+#: was chosen on 40 simulated plants of other model classes, see docs/identification.md.
 EXCESS = 2.0
 
 
@@ -414,7 +414,7 @@ class _ParametricSearch:
 
 
 def _robust(fit, data: IdentificationData, skip: int) -> Identification:
-    """Return ``fit(data, before)`` on data from which the outliers and the drift that the fit shows are removed."""
+    """Return ``fit(data, before)``, repeated after removing the outliers and the drift that the fit shows."""
 
     def look(result: Identification, clean: Cleaned) -> Cleaned | None:
         predicted = predict(result.chain, data.input, data.sample_time, measured=clean.data.output)
@@ -537,7 +537,7 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
 
 
 def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
-    """Return initial values from a linear oscillator, with half of its stiffness elastic and half hysteretic."""
+    """Return initial values from a linear oscillator; 60 % of its stiffness is elastic, and 60 % hysteretic."""
     options = request.options
     given = {"mass", "stiffness", "alpha", "beta"} <= set(options)
     if given:
@@ -548,8 +548,8 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
     initial = "periodic" if request.initial == "periodic" else "zero"
     structure = Structure(2, 0, intersample, initial, offset=True)
     found = fit_transfer_function(data.input, data.output, data.sample_time, structure)
-    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); because near the resonance the hysteretic force is partly
-    # saturated
+    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); both stiffnesses together exceed k, because the hysteretic force
+    # is partly saturated near the resonance
     mass = 1.0 / abs(float(np.ravel(found.numerator)[-1]))
     damping, stiffness = mass * float(found.denominator[1]), mass * float(found.denominator[2])
     return BoucWenMechanicalParameters(

@@ -8,10 +8,10 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Refinement of a structure on recordings in time: Gauss-Newton on the error of the simulation.
+"""Refinement of a structure in the time domain: Gauss-Newton on the error of the simulation.
 
-The error is that of a simulation from the inputs alone. An equation error with a measured z would have a trivial
-solution that looks perfect. Sensitivities run forward in time together with the states:
+The fitted error is the error of a simulation that uses only the inputs. An equation error with a measured z would have
+a trivial solution that looks perfect. Sensitivities run forward in time together with the states:
 
     dx⁺ = A dx + B_w dw + (∂A x + ∂B u + ∂B_w w),   dz_i = C_z,i dx + ∂C_z,i x + ∂g_i u_i,
     dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
@@ -38,8 +38,8 @@ from hysteresis_ros.models.structure import StructureParameters, packed, run_str
 #: Groups of parameters that affect the states, in the order of the sensitivities; C and D affect only the output.
 DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
 LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
-#: Floating-point type of the sensitivities: their precision affects the path of the search, but not its end. The error
-#: itself is computed in double precision.
+#: Floating-point type of the sensitivities: their precision affects the path of the search, but not its result. The
+#: error itself is computed in double precision.
 PRECISION = np.float32
 #: Number of parameters whose sensitivities are computed together, so that they fit into the cache of a core.
 CHUNK = 192
@@ -212,7 +212,7 @@ def _advance(model, rates, varied, room, now):
 
 
 def run_sensitivities(model, rates, varied, u, found, room):
-    """Fill ``found`` with the results for ``u``; the rows of ``u`` in excess of N are the run-in and come first."""
+    """Fill ``found`` with the results for ``u``; the first rows of ``u``, in excess of N, are the run-in."""
     run_in = u.shape[0] - found.y.shape[0]
     room.x[:] = 0.0
     room.S[:, :] = 0.0
@@ -342,7 +342,7 @@ def refine_in_time(
     deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; ``held_out`` data end the search and select the returned point.
+    """Refine groups of parameters; the error on ``held_out`` data ends the search and selects the returned point.
 
     No step begins after ``deadline``, a time of ``time.perf_counter`` [s].
     """

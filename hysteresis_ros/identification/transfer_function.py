@@ -13,8 +13,8 @@
 For given poles the output is linear in the numerator, the initial state and an offset; these are solved for exactly in
 every step (variable projection), and only the n coefficients of the denominator are searched. The denominator is a
 product of ``s² + α s + β`` and ``s + α`` with positive coefficients. Every stable denominator has this form, and no
-unstable one has, so every step of the search stays stable. A reduction to second order matches the step response (B2)
-and gives mass, damping and stiffness.
+unstable denominator has it, so every step of the search stays stable. A reduction to second order matches the step
+response (B2) and gives mass, damping and stiffness.
 
 References
 ----------
@@ -126,17 +126,17 @@ class TransferFunctionFit:
 
     @property
     def poles(self) -> np.ndarray:
-        """[rad/s], shape (n,)."""
+        """Poles [rad/s], shape (n,)."""
         return np.roots(self.denominator)
 
     @property
     def zeros(self) -> np.ndarray:
-        """[rad/s]."""
+        """Zeros [rad/s]."""
         return np.roots(self.numerator)
 
     @property
     def dc_gain(self) -> float:
-        """b_0/a_0, output unit per input unit."""
+        """DC gain b_0/a_0, output unit per input unit."""
         return float(self.numerator[-1] / self.denominator[-1])
 
     @property
@@ -289,7 +289,7 @@ class _Problem:
 
 
 def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
-    """Return logarithms of initial values: of the user, of an ARX fit, of a grid over the band, and random ones."""
+    """Return logarithms of initial values: from the user, from an ARX fit, from a grid over the band, and random."""
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:
@@ -425,7 +425,7 @@ class MassSpringDamper:
     """``G(s) = 1/(m s² + b s + K)`` (B2, eq. 3).
 
     If the input is in V and the output in m, the units are not those of mechanics (m is in V s²/m, and so on). If the
-    input is a force in N, they are kg, N s/m and N/m.
+    input is a force in N, the units are kg, N s/m and N/m.
     """
 
     mass: float  #: m [input unit · s²/output unit].

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification and validation in one call each: from a recording to a parameter file, and to its accuracy.
+"""Identification and validation in one call each: from a recording to a parameter file, and to the accuracy of a model.
 
-The commands ``hysteresis identify`` and ``hysteresis validate`` call these two functions. With ``--model auto``, all
-models that need no initial values are compared on held-out thirds of the recording.
+The commands ``hysteresis identify`` and ``hysteresis validate`` call :func:`identify` and :func:`validate`. With
+``--model auto``, all models that need no initial values are compared on held-out thirds of the recording.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
     """Return the name of the model that predicts held-out data best, and the RMS errors of all models.
 
     Each model is fitted to the first two thirds and predicts the last third, as far as the voltage there stays within
-    the range of the fit; a constant is free. Models whose error is at most 1.5 times the smallest one are then also
-    fitted to the last two thirds, and predict the first third. For the other models the error on the last third is
-    returned. Models that cannot be fitted are skipped. A model with more freedom must be better by three per cent. If
-    the recording does not determine loops smaller than its own
-    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data adds no information: the model
-    :data:`PRIOR_MODEL` is then chosen, unless another model has less than half of its error.
+    the range of the fit; a constant offset is removed. Models whose error is at most 1.5 times the smallest error are
+    then also fitted to the last two thirds, and predict the first third. For the other models the error on the last
+    third is returned. Models that cannot be fitted are skipped. A model with more freedom must be better by three per
+    cent. If the recording does not determine loops smaller than its own
+    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data cannot distinguish the models:
+    the model :data:`PRIOR_MODEL` is then chosen, unless another model has less than half of its error.
     """
     refuse_falling(data)
     # the separation for the static models uses the fits of the models before them in this list
@@ -136,7 +136,7 @@ def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: 
     return error**2, fit.numbers.get("ambiguity_rms_m", 0.0)
 
 
-#: Treatments of the constant of a sensor.
+#: Treatments of the constant offset of a sensor.
 OFFSETS = ("kept", "free")
 #: RMS error [% of the stroke] above which a model is reported as a poor description.
 LEFT = 2.0
@@ -151,9 +151,9 @@ CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is
 class Conditions(TypedDict, total=False):
     """Conditions for the comparison of a model with a recording."""
 
-    #: Number of samples at the beginning that the error omits; the model simulates them nevertheless. By default,
-    #: :func:`identify` and :func:`validate` omit the samples until the voltage has been near both ends of its range,
-    #: unless ``initial`` defines the voltage history.
+    #: Number of samples at the beginning that do not count in the error; the model simulates them nevertheless. By
+    #: default, :func:`identify` and :func:`validate` omit the samples until the voltage has been near both ends of its
+    #: range, unless ``initial`` defines the voltage history.
     skip: int | None
     offset: str  #: ``kept``, or ``free``: one constant is removed, for a sensor without absolute zero.
     #: Assumed input between its samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default:
@@ -189,8 +189,8 @@ class Compared:
     inverse : InverseValidation or None
         Voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
-        By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
-        if not finite. ``--json`` prints them.
+        Figures by names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and
+        more; values that are not finite are None. ``--json`` prints them.
     warnings : tuple of str
         Sentences about uncertainties.
     recording : RecordingSummary, optional
@@ -223,9 +223,9 @@ class Compared:
         voltage : array_like, shape (N,)
             [V]
         sample_time : float, optional
-            [s]; by default that of the recording from which the model was identified.
+            [s]; by default the sample time of the recording from which the model was identified.
         intersample : str, optional
-            The input between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as it was identified.
+            The input between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the identification.
         initial : str, optional
             The state at the start: ``zero``, ``periodic`` or ``estimate``; the default depends on the model.
         measured : array_like, shape (N,), optional
@@ -250,7 +250,7 @@ class Compared:
         Parameters
         ----------
         data : path-like, Recording, Reading or IdentificationData
-            A recording that the model has not seen.
+            A recording that was not used for the identification.
         inverse : bool
             Whether to validate the inverse too.
         **conditions
@@ -310,7 +310,7 @@ class Identified(Compared):
 
     @property
     def converged(self) -> bool:
-        """Whether the fit converged; if not, this is the best point it found."""
+        """Whether the fit converged; if not, the result is the best point that the fit found."""
         return self.identification.converged
 
     @property
@@ -319,7 +319,7 @@ class Identified(Compared):
         return "" if self.converged else NOT_CONVERGED
 
     def to_axis(self) -> Configuration:
-        """Return the parameters of an axis with this model, those of the parameter file.
+        """Return the parameters of an axis with this model, as in the parameter file.
 
         Returns
         -------
@@ -339,7 +339,7 @@ class Identified(Compared):
         Raises
         ------
         IdentificationError
-            It cannot be written.
+                        The file cannot be written.
         """
         write_file(path, self.text)
 
@@ -366,7 +366,7 @@ def identify(
 
 
 def _identified(reading: Reading, model, given: Conditions, *, linear, chosen, inverse, fast, progress) -> Identified:
-    """Return the identification of a recording, after its summary."""
+    """Report the summary of a recording, and return its identification."""
     recording = reading.summary
     for label, text in recording.lines if progress is not None else ():
         progress(0, f"{label}: {text}")
@@ -418,7 +418,7 @@ class HysteresisEstimator:
     options : dict, optional
         Options of the model.
     inverse : str, optional
-        Type of the compensator's inverse; by default the first of the model.
+        Type of the compensator's inverse; by default the first type that the model offers.
     conditions : dict
         See :class:`Conditions`.
     """
@@ -560,7 +560,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     skip = _averaged(given.get("skip"), data)
     if skip is None:
-        # samples after an unknown history are omitted, as by an identification
+        # samples that depend on an unknown voltage history are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     free = given.get("offset") == "free"
     shown = as_sensed(data, predicted)
@@ -579,7 +579,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
 
 
 def within_saturation(data: IdentificationData, recording: RecordingSummary) -> IdentificationData:
-    """Return the data, with its input limited to the range in which the output follows, and a warning; or unchanged."""
+    """Return the data, its input limited to the range that the output follows (with a warning), or unchanged."""
     low, high = recording.saturation
     limits = [-np.inf if low is None else low, np.inf if high is None else high]
     width = 1.5 * float(np.ptp(data.input)) / LEVELS
@@ -619,7 +619,7 @@ def _extremes(values: np.ndarray) -> tuple[float, float]:
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:
-    """Return the number of averaged samples that the first ``skip`` samples of the recording became."""
+    """Return the number of averaged samples that contain the first ``skip`` samples of the recording."""
     return None if skip is None else -(-max(skip - data.first, 0) // data.factor) if data.factor > 1 else skip
 
 
