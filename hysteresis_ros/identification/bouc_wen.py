@@ -183,7 +183,7 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
 
 
 def _covariance(residual, theta, error, free_offset) -> np.ndarray:
-    """Return the Gauss-Newton covariance in normalised units; entries of undetermined parameters are infinite."""
+    """Return the Gauss-Newton covariance in normalised units; all infinite if a parameter is not determined."""
     columns = []
     for i in range(theta.size):
         step = np.zeros(theta.size)

@@ -125,7 +125,7 @@ class StructureData:
         Parameters
         ----------
         chosen : array_like of int
-                        Indices of the realisations.
+            Indices of the realisations.
 
         Returns
         -------
@@ -237,7 +237,7 @@ class IdentifiedStructure:
         Raises
         ------
         IdentificationError
-                        The file cannot be written.
+            The file cannot be written.
         """
         write_file(path, self.to_yaml())
 

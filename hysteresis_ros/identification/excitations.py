@@ -9,10 +9,10 @@
 
 """Excitations of a frequency-response analyser, and the periods of such excitations in a recording.
 
-A multisine of random phases excites the odd harmonics, except one in each group, which is omitted at random. It shows
-the nonlinear response of an axis: even distortion appears on the even lines, odd distortion on the omitted odd lines
-[1]_. With a stepped sine, distortion appears as harmonics; with a noise excitation, distortion and noise cannot be
-separated.
+A multisine of random phases excites the odd harmonics, except one in each group, which is omitted at random. Such a
+multisine shows the nonlinear response of an axis: even distortion appears on the even lines, odd distortion on the
+omitted odd lines [1]_. With a stepped sine, distortion appears as harmonics; with a noise excitation, distortion and
+noise cannot be separated.
 
 References
 ----------
@@ -62,7 +62,7 @@ class Experiment:
     period : float, optional
         Period of the multisine, shortest block of the stepped sine, or segment of the noise [s].
     duration : float, optional
-        Length of the whole excitation, instead of the period [s].
+        Length of the whole excitation [s], given instead of the period.
     periods : int
         Periods of each realisation, or blocks of each frequency, that are averaged.
     settle : int
@@ -230,7 +230,7 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
         raise _too_slow(low, block / rate, "a block")
     cycles, samples = [], []
     for frequency in np.geomspace(low, high, asked.points):
-        # whole cycles per block: of the lengths from the requested one on, that with the nearest frequency
+        # whole cycles per block: of the lengths from the requested length up, choose the one with the nearest frequency
         least = max(block, round(rate / frequency))
         lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
         turns = np.maximum(np.round(frequency * lengths / rate), 1)

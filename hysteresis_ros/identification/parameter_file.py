@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameter files of ROS 2 for identified models: nodes run them unchanged, and they state the origin of the numbers.
+"""ROS 2 parameter files of identified models: nodes use these files unchanged, and the origin of the numbers is stated.
 
 Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` does not name a
 node, so ROS ignores it; it contains source, figures, assumptions and warnings.
@@ -49,7 +49,7 @@ from hysteresis_ros.units import figure_name
 
 #: Section that no node reads.
 SECTION = "/identification"
-#: Name of a figure: by how much the gain of loops over a tenth of the range may be higher than that of the model [%].
+#: Name of a figure: by how much the gain of loops over a tenth of the range may exceed the model's gain [%].
 SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
 #: Sample rate [Hz] and highest voltage [V] of the example axis for a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
@@ -110,7 +110,7 @@ def sections(result: Identification) -> dict[str, dict]:
 
 
 def rate_of(sample_time: float) -> float:
-    """Return the sample rate [Hz], rounded to 9 digits, because stamps in whole nanoseconds are not more accurate.
+    """Return the sample rate [Hz], rounded to 9 digits, because time stamps in whole nanoseconds are not more accurate.
 
     Units: ``sample_time`` [s].
     """
@@ -234,7 +234,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
 
 
 def example_text(model: HysteresisModel) -> str:
-    """Return the parameter file of an axis with the example of a model, which follows a slow sine in open loop."""
+    """Return the parameter file of an axis that has the example of a model and follows a slow sine in open loop."""
     hysteresis = HysteresisParameters(type=model.name, **{model.name: model.example})
     chain = PlantModel(
         hysteresis=hysteresis,

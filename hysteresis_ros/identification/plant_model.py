@@ -36,11 +36,11 @@ class Request:
     """Request of one identification: the model, the dynamics that may follow it, and the conditions."""
 
     model: str
-    parts: tuple[str, ...]  #: Parts that may follow the hysteresis, of ``lag``, ``delay``, ``creep``, ``modes``.
+    parts: tuple[str, ...]  #: Parts that may follow the hysteresis, any of ``lag``, ``delay``, ``creep``, ``modes``.
     stage: str | None  #: Dynamics of higher order, in place of ``parts``.
     options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
-    skip: int | None  #: Number of omitted samples at the beginning; None: those that earlier voltages affect.
+    skip: int | None  #: Number of omitted samples at the beginning; None: all that earlier voltages affect.
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
@@ -70,7 +70,7 @@ class PlantModel:
 
     hysteresis: HysteresisParameters
     creep: CreepParameters
-    dynamics: LinearParameters  #: For ``sample_time``.
+    dynamics: LinearParameters  #: Linear dynamics at ``sample_time``.
     sample_time: float  #: [s]
     offset: float = 0.0  #: Constant part of the displacement [m]; a plant contains it as preload offset.
     #: Creep, lag and delay in continuous time, if these are all the dynamics.
@@ -142,7 +142,7 @@ class Identification:
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the fit did not converge; this is the best point found.
-    skipped: int | None = None  #: Number of omitted samples at the beginning; None: those that earlier voltages affect.
+    skipped: int | None = None  #: Number of omitted samples at the beginning; None: all that earlier voltages affect.
     start: str = ""  #: Sentence about the assumed voltage history before the recording.
     drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
     #: Names of the parameters, and their values after each iteration of the best run, shape (K, n).
@@ -156,7 +156,7 @@ class IdentifiedModel(Protocol):
     def predict(self, voltage, sample_time: float | None = None) -> np.ndarray:
         """Return the displacement [m], shape (N,), under a voltage [V] of shape (N,).
 
-        ``sample_time`` [s] is by default that of the recording.
+        The default of ``sample_time`` [s] is the sample time of the recording.
         """
         ...
 
@@ -324,7 +324,7 @@ def identified(
 ) -> Identification:
     """Return the result of an identification; its linear part is also described as figures and text.
 
-    If the input is held between the samples, lag and delay are those of the stage alone.
+    If the input is held between the samples, lag and delay do not include the delay of the hold.
     """
     if request.intersample == "zoh" and not synchronous:
         part = part.held(data.sample_time)

@@ -9,15 +9,15 @@
 
 """Fits of models whose output is linear in the weights of plays: one search and one solver for many models.
 
-A model states the columns of its plays for a given shape (:meth:`PlayFit.columns`), the shape parameters to search
+A model defines the columns of its plays for a given shape (:meth:`PlayFit.columns`), the shape parameters to search
 (:attr:`PlayFit.extra`), and the parameters of the block for given weights (:meth:`PlayFit.parameters`). The parameters
 of the linear part and of the shape are searched; for each trial the weights ≥ 0 and the constants follow by linear
 least squares.
 
-The weights are as smooth over the radius as the data allows. A recording of one large loop determines every weight of a
-classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights alternate, and such
-weights cause errors in minor loops. The roughness (second difference) of the weights is therefore penalised as strongly
-as the residual permits.
+The weights, as a function of the radius, are as smooth as the data allows. A recording of one large loop determines
+every weight of a classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights
+alternate, and such weights cause errors in minor loops. The roughness (second difference) of the weights is therefore
+penalised as strongly as the residual permits.
 
 References
 ----------
@@ -46,7 +46,7 @@ SEARCH_STRENGTH = 1e-2
 #: Small numbers to add to the diagonal of the normal equations of columns of unit length; the first that suffices is
 #: used.
 GRAM_FLOORS = (1e-13, 1e-12, 1e-11, 1e-10)
-#: Tried weights of the smoothness penalty, from almost none to one that makes the weights almost linear.
+#: Tried weights of the smoothness penalty, from nearly zero to a value that makes the weights almost linear.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
@@ -111,8 +111,8 @@ class PlayFit(ABC):
         Each neighbour is a pair (linear part, shape parameters).
 
         The weights are solved again for each neighbour (variable projection [1]_). For a change dΦ of the filtered
-        columns Φ this requires only dΦ w and dΦᵀ e, with the weights w and the residual e. Both are obtained by
-        filtering a single signal: the sum of the columns, and the residual backwards in time.
+        columns Φ this requires only dΦ w and dΦᵀ e, with the weights w and the residual e. Each is obtained by
+        filtering a single signal: the weighted sum of the columns, or the residual backwards in time.
         """
         if self.solver is None:
             raise RuntimeError("there is no solved trial")
@@ -136,7 +136,7 @@ class PlayFit(ABC):
         return self.solver.followed(data.counted(moved), leaning, self.weights, SEARCH_STRENGTH)
 
     def summed(self, shape) -> np.ndarray:
-        """Return the sum of the columns for a shape, multiplied by the present weights, shape (N,)."""
+        """Return the sum of the columns for a shape, each times its present weight, shape (N,)."""
         kept = self.kept_columns
         return (kept[1] if kept is not None and kept[0] == shape else self.columns(shape)) @ self.weights
 
@@ -202,7 +202,7 @@ class PlayFit(ABC):
         return self
 
     def refitted(self, data: Condensed):
-        """Return the model with the same shape and linear part; weights fitted to other samples of the recording."""
+        """Return the model with the same shape and linear part, with weights fitted to other recorded samples."""
         if self.reply is None:
             self.reply = self.part, self.shape, self.moved(self.part, self.shape)
         other = copy(self)
@@ -272,7 +272,7 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
 
 
 def cholesky_factor(gram) -> np.ndarray:
-    """Return the Cholesky factor of the Gram matrix of columns of unit length, some of which may be equal.
+    """Return the Cholesky factor of a Gram matrix of columns of unit length; columns may be equal.
 
     The number added to the diagonal is as small as rounding errors allow, and far below any noise.
     """

@@ -139,7 +139,7 @@ def predict(
 def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=None) -> np.ndarray:
     """Return the displacement [m], shape (N,), after hysteresis and creep: the input of the dynamics.
 
-    Without ``measured`` [m] it starts at rest at 0 V. Units: ``voltage`` [V], ``sample_time`` [s].
+    Without ``measured`` [m], the chain starts at rest at 0 V. Units: ``voltage`` [V], ``sample_time`` [s].
     """
     bare = replace(
         chain,

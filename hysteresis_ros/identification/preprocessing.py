@@ -10,10 +10,10 @@
 """Preprocessing of data for fits: the steps in their order.
 
 1. :func:`prepared`, once for each recording: time stamps that jitter around a uniform grid are corrected
-(:func:`steadied`).
-   Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated (:func:`resample`). Missing
-   samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
-   contains most of the different loops, and averages neighbouring samples as long as this removes only noise.
+   (:func:`steadied`). Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated
+   (:func:`resample`). Missing samples at the ends are omitted, and the data is checked. For long data, :func:`reduced`
+   selects the interval that contains most of the different loops, and averages neighbouring samples as long as this
+   removes only noise.
 2. Voltage history before the recording: samples are omitted until the voltage has been near both ends of its range
    (:func:`wiped_out`), or the earlier voltage that caused a remanent displacement is identified
    (:func:`remanent_voltage`).

@@ -14,8 +14,8 @@ input, or that first falls and then rises (a butterfly), is refused here, becaus
 If the output is level at an end of the range but was steep just before, the amplifier saturates there.
 
 The sign of the gain is determined from slow movement, whose phase is changed neither by a lag nor by a resonance. Other
-causes of movement (other inputs, vibration, drift) count as noise. The gain is that in the narrowest band, from the
-lowest frequency up, in which the gain clearly exceeds its standard deviation.
+causes of movement (other inputs, vibration, drift) count as noise. The gain is determined in the narrowest band, from
+the lowest frequency up, in which it clearly exceeds its standard deviation.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ ABRUPT = 0.5
 #: The loop saturates at an end, or has a dead zone, where the slope over a tenth of the range is below this fraction of
 #: the largest slope.
 FLAT = 0.2
-#: Jitter of the stamps above this fraction of the sample time is stated.
+#: Jitter of the time stamps above this fraction of the sample time is reported.
 UNEVEN = 0.01
-#: The width of the loops is computed up to this number of turning points, because a multisine has many thousands.
+#: The width of the loops is computed up to this number of turning points, because a multisine has many thousands of
+#: them.
 MOST_TURNS = 200
 #: Loops count as having one size if all swings exceed this fraction of the range.
 ONE_SIZE = 0.95
@@ -73,7 +74,7 @@ class SlowGain(NamedTuple):
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances, or that of all movement.
+    """Return the gain of the slowest movement that exceeds the disturbances, or else the gain of all movement.
 
     Units: ``sample_time`` [s].
     """
@@ -105,7 +106,7 @@ class MeanLoop(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
-        """Mean of both branches, shape (n,); if one branch is missing there, the other."""
+        """Mean of both branches, shape (n,); where one branch is missing, the other branch."""
         both = np.stack([self.rising, self.falling])
         count = np.isfinite(both).sum(axis=0)
         return np.where(count > 0, np.nansum(both, axis=0) / np.maximum(count, 1), np.nan)
@@ -130,7 +131,7 @@ def mean_loop(u, y, count: int = LEVELS) -> MeanLoop:
 
 
 def butterfly(u, y) -> float | None:
-    """Return the input at which a butterfly changes between falling and rising output; None if it is no butterfly."""
+    """Return the input at which a butterfly changes between falling and rising output; None without a butterfly."""
     v = 2.0 * (u - u.min()) / np.ptp(u) - 1.0
     curve = np.polynomial.Polynomial.fit(v, y, DEGREE, domain=(-1.0, 1.0))
     if float(np.var(y - curve(v))) > (1.0 - EXPLAINED) * float(np.var(y)):
@@ -146,7 +147,7 @@ def butterfly(u, y) -> float | None:
 
 
 def level_ends(loop: MeanLoop, stroke: float) -> tuple[tuple[float, bool] | None, ...]:
-    """Return, for each end of the range, the input from which the output is constant, and whether abruptly; or None."""
+    """Return, for each end, the input beyond which the output is level, and whether it levels abruptly; or None."""
     found: list[tuple[float, bool] | None] = []
     middle = float(np.nanmax(loop.middle) - np.nanmin(loop.middle)) / loop.levels.size
     for order in (slice(None), slice(None, None, -1)):

@@ -11,7 +11,8 @@
 
 From a recording, the response is estimated between the modelled input of the dynamics (the output of hysteresis and
 creep) and the measurement, averaged over parts of an octave. This response includes the errors of the hysteresis, which
-also act in feedback. A measured response gives the uncertainty directly, and linear dynamics by a fit to its lines.
+also act in feedback. From a measured response, the uncertainty follows directly, and linear dynamics are fitted to its
+lines.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
 RINGING_PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING_RANGE[0])
 #: A deviation above this multiple of two standard deviations also counts as known.
 CLEARLY = 2.0
-#: The windows overlap: number of sums that are equivalent to one independent sum.
+#: Number of sums over overlapping windows that are equivalent to one independent sum.
 OVERLAP = 2.0
 #: Bands without content between two bands with content are interpolated, up to this distance in octaves.
 GAP = 1.5
 #: If the content reaches up to this fraction of the sample rate, the whole response counts as known, because a control
 #: loop acts only up to this frequency.
 WHOLE = 0.5
-#: The residual rings at a frequency where its spectrum in a band exceeds that in the surrounding two octaves by this
-#: factor.
+#: The residual rings at a frequency where its mean power in a narrow band exceeds its mean power in the surrounding two
+#: octaves by this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
 #: Peaks are ignored where the residual is below this fraction of the movement that the model explains.
@@ -90,7 +91,7 @@ class ResponseCheck:
 
     @property
     def fit_for_feedback(self) -> bool:
-        """Whether the residual does not ring, and the certain crossover is close enough to that of an exact model.
+        """Whether the residual does not ring, and its visible errors do not require a much lower crossover.
 
         The mean over a band says little about the peak of a lightly damped mode in it, so any ringing counts.
         """
@@ -237,7 +238,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
 
 def _foreign(spectra: SegmentSpectra, output) -> float:
     """Return the fraction of the output's power that is no linear response; 0 if the spectra cover too little of it."""
-    # the spectra are those of differences between samples
+    # the spectra belong to the differences between samples
     undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
     power = np.abs(np.fft.rfft(output - output.mean())) ** 2
     held = np.fft.rfftfreq(len(output), spectra.sample_time) >= spectra.frequencies[0]
@@ -292,8 +293,6 @@ def measured_plant(found: Analysis, model) -> MeasuredPlant:
 
     The scale matches both gains at the lowest lines. The model's gain is valid for the whole stroke; a hysteresis has
     another gain for small movements.
-
-    The model's gain is valid for the whole stroke; a hysteresis has another gain for small movements.
     """
     response = found.response
     radius = response.radius(PROBABILITY)[:, 0, 0]

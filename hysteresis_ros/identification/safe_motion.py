@@ -47,7 +47,8 @@ from hysteresis_ros.units import shown_unit
 
 #: Time in which an unknown stage moves over the voltage range [s].
 FIRST_SECONDS = 1.0
-#: Largest ratio of the slew rate to that in the recording, and fraction of the slew rate that is for setpoints.
+#: Largest ratio of the slew rate to the largest slew rate in the recording, and fraction of the slew rate that is
+#: reserved for setpoints.
 ROOM, FOR_SETPOINTS = 2.0, 0.5
 #: Damping ratio above which a mode is not a resonance, and magnitude below which a pole is part of a delay.
 NO_RESONANCE, DELAY = 0.5, 1e-3
@@ -79,7 +80,7 @@ def slowest(dynamics: LinearParameters, sample_time: float) -> tuple[float, bool
 
 
 def slowest_of(A: np.ndarray, sample_time: float) -> tuple[float, bool]:
-    """Return the same as :func:`slowest` for a state matrix."""
+    """Return the result of :func:`slowest` for a state matrix."""
     poles = np.asarray(eigenvalues(A), dtype=complex)
     resonances = [hertz for hertz, damping in modes(poles, sample_time) if damping < NO_RESONANCE]
     if resonances:
@@ -128,7 +129,7 @@ def smooth_approach(velocity: float, length: float) -> tuple[float, float]:
 
     Units: ``velocity`` [m/s].
     """
-    # the averages last 2 V/A and 4 V/(2 V/A J), see the approach
+    # with velocity V, acceleration A and jerk J, the averages last 2 V/A and 4 V/(2 V/A J), see the approach
     return _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
 
 
@@ -197,7 +198,7 @@ def with_safe_motion(
 
 
 def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
-    """Return why steps of a waveform should keep the approach's limits too; empty if not, or if they already do."""
+    """Return why steps of a waveform should keep the approach's limits too; empty if they need not, or already do."""
     feedforward = FeedforwardParameters(type=str(controller.get("feedforward.type", "none")))
     keeps = "steps of a waveform keep the limits too"
     if feedforward.inverts and not reference.get("approach.steps", False):

@@ -10,9 +10,10 @@
 """Separation of a hysteresis from the history before the recording, and from lag, creep, drift and outliers.
 
 A hysteresis has memory, and a recording does not show the voltage before it. If the voltage reaches both ends of its
-range and a cycle follows, the memory of the history is erased, and the earlier samples are omitted. Otherwise the whole
+range and a cycle follows, this memory is erased, and the earlier samples are omitted. Otherwise the whole
 recording counts, and three histories are tried: rest at 0 V; a periodic input; a larger voltage that has left the
-actuator remanent. The memory that a remanent history leaves depends on the model, so it is searched with the model.
+actuator remanent. The memory that a remanent history leaves depends on the model, so this history is searched together
+with the model.
 
 Models without lag and creep are fitted to data from which these are removed (:func:`separated`).
 """
@@ -44,20 +45,20 @@ from hysteresis_ros.identification.preprocessing import (
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 from hysteresis_ros.units import readable
 
-#: Numbers of plays and dead zones of the trials, and of samples of their reduced data.
+#: Numbers of plays and dead zones of the trial fits, and number of samples that these fits use.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Fraction of the samples, with the largest errors (possibly outliers), that the comparison of histories omits.
+#: Fraction of the samples that the comparison of histories omits: those with the largest errors, possibly outliers.
 TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
 #: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
 #: samples, or, for models whose fit needs the beginning, below this fraction of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
-#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT times that of rest (an
-#: assumed value): the trials do not contain the modes, whose response to the first rise is as large as a small
-#: remanence. If the error of rest is more than EXPLAINED times that of the remaining samples, any smaller error is
-#: preferred.
+#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT times the error of rest (an
+#: assumed value): the trials do not contain the modes, whose response to the first rise is as large as the effect of a
+#: small remanence. If the error of rest is more than EXPLAINED times the error of the remaining samples, any remanence
+#: with a smaller error is preferred.
 REMANENT, EXPLAINED = 0.8, 3.0
 #: If more than this fraction of the recording would be omitted, a start at rest is tried first: assumed.
 MOST_OMITTED = 0.3
@@ -102,7 +103,7 @@ def find_start(
     *,
     whole: bool = False,
 ) -> Start:
-    """Return the beginning of the recording, as requested or with the best fit."""
+    """Return the assumed beginning of the recording: as requested, or with the best fit."""
     asked = "as requested: "
     if initial == "periodic":
         _refuse_open(data)
@@ -163,7 +164,7 @@ def remanence(voltage: float) -> str:
 
 
 class _PastTrials:
-    """Fits to a recording of ``enough`` samples with different assumed histories, each with its own lag."""
+    """Fits to a recording, reduced to about ``enough`` samples, with different assumed histories and their own lags."""
 
     def __init__(self, data: IdentificationData, structure, enough: int = COARSE):
         self.data, self.structure, self.enough = data, structure, enough
@@ -182,7 +183,7 @@ class _PastTrials:
     def at_rest(self, first: int) -> bool:
         """Whether a model that starts at rest at 0 V fits the samples before ``first``.
 
-        True if it fits them about as well as those from ``first`` on, or to within AT_REST of the stroke.
+        True if it fits these samples about as well as the later samples, or to within AT_REST of the stroke.
         """
         error = self.error()
         return first == 0 or _trimmed(error[:first]) <= max(
@@ -194,10 +195,10 @@ class _PastTrials:
 
         ``part``: the dynamics, if they are known; otherwise a lag is fitted.
 
-        For a recording that begins at 0 V, the answer is yes if no remanence explains these samples clearly better than
-        rest does. If a large part would be omitted, it is yes if rest explains all samples about as well as a fit to
-        those from ``first`` on explains them. A fit with a wrong history adapts to the longer part of the recording, so
-        the errors of both parts count.
+        If a large part would be omitted, the answer is yes if a fit from rest explains both parts about as well as a
+        fit from ``first`` on explains its samples; both parts count, because a fit with a wrong history adapts to the
+        longer part. Otherwise, the recording must begin at 0 V, and no remanence may explain these samples clearly
+        better than rest.
         """
         if first == 0:
             return False
@@ -255,7 +256,7 @@ def _trimmed(error) -> float:
 
 
 def _closed(data: IdentificationData) -> bool:
-    """Return whether the recording may be a whole number of periods: it ends where it begins, and does not grow."""
+    """Return whether the recording may be a whole number of periods: it ends where it begins, without growing swings."""
     u, span = data.input, float(np.ptp(data.input))
     reached = [np.flatnonzero(np.abs(u - end) <= CLOSED_PART * span)[0] for end in (u.max(), u.min())]
     return max(reached) <= 0.75 * len(data) and all(
@@ -279,7 +280,7 @@ class Separated:
     """A recording without the dynamics after a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
-    output: np.ndarray  #: shape (N,); Output of the cleaned recording [m], without lag and creep too.
+    output: np.ndarray  #: shape (N,); Output of the cleaned recording [m], also without lag and creep.
     part: LinearPart  #: The linear part after the hysteresis.
     start: Start  #: Assumed beginning of the recording.
     warnings: tuple[str, ...]  #: Warnings about the separation.
@@ -297,7 +298,7 @@ class Separated:
 
     @property
     def history(self) -> np.ndarray:
-        """Voltages [V] from rest at 0 V to the first of these samples."""
+        """Voltages [V] from rest at 0 V to the first sample that counts."""
         return self.start.before(self.cleaned.data.input)
 
 
@@ -306,7 +307,7 @@ def separated(data: IdentificationData, request: Request) -> Separated:
 
     Lag, creep, outliers and drift are identified together with a Preisach or a Prandtl-Ishlinskii model, whichever has
     the smaller residual, because these models leave the shape of the loops free. Earlier fits of these models to the
-    same data are used again. The request stores the result for the next model of the same data.
+    same data are reused. The request stores the result for the next model of the same data.
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -344,7 +345,8 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the voltage before the recording, as fractions of that of the first fit, and its tolerance.
+#: Range of the search for the voltage before the recording, as fractions of the best voltage tried with the first fit,
+#: and relative tolerance of the search.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 

@@ -9,9 +9,9 @@
 
 """Recordings of several inputs and outputs: columns, units, and the periods and realisations in them.
 
-A realisation is a span in which all inputs repeat. If it has enough periods, the first one is discarded as run-in. One
-file may contain several realisations, one after the other, as `hysteresis excite` records them, or each realisation may
-have a file of its own.
+A realisation is a span in which all inputs repeat. If a realisation has enough periods, its first period is discarded
+as run-in. One file may contain several realisations, one after the other, as `hysteresis excite` records them, or each
+realisation may have a file of its own.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SAME_RATE = 1e-6
 CANDIDATES, SHORTEST = 50, 16
 #: A span counts as containing no realisation if the inputs move by less than this fraction of their largest RMS value.
 STILL = 0.02
-#: Names of the signals of an axis of a stage that state what it should follow, and whether the sample was skipped.
+#: Names of two signals of an axis in the recording of a stage: its reference, and whether the sample was skipped.
 ASKED, SKIPPED = "reference", "skipped"
 #: Largest accepted fraction of the samples of a realisation that skipped samples may have changed.
 MOST_CHANGED = 0.1
@@ -59,7 +59,7 @@ class StageColumns:
     sample_time : float, optional
         [s], for files without a time column.
     period : float, optional
-        Period of the inputs [s]; found by default.
+        Period of the inputs [s]; by default it is determined from the inputs.
     settle : int, optional
         Number of periods discarded at the beginning of each realisation; by default one, or none if a realisation has
         only two periods.
@@ -95,10 +95,10 @@ class StageReading:
     #: References [m] of each run, shape (N, m), if samples were skipped: references repeat even where the inputs do
     #: not.
     asked: tuple[np.ndarray, ...] = ()
-    skipped: int = 0  #: Number of skipped samples: the machine was too busy, and held the previous inputs.
+    skipped: int = 0  #: Number of skipped samples: the computer was too busy, and the previous inputs were held.
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return inputs and outputs of the only run; DataError if there are several."""
+        """Return inputs and outputs of the only run; raise DataError if there are several."""
         if len(self.runs) != 1:
             raise DataError("shape", f"there are {len(self.runs)} runs, but one is needed here: give one file")
         return self.runs[0]
@@ -271,7 +271,7 @@ def _arrays(path: pathlib.Path, columns: StageColumns) -> StageReading:
 
 
 def find_period(u: np.ndarray) -> int | None:
-    """Return the period [samples] that repeats over most of the inputs ``u``, shape (N, m); None without repetition."""
+    """Return the period [samples] of most of the inputs ``u``, shape (N, m); None if they do not repeat."""
     moved = u - u.mean(axis=0)
     size = 2 * len(u)
     correlation = np.fft.irfft((np.abs(np.fft.rfft(moved, size, axis=0)) ** 2).sum(axis=1))[: len(u) // 2 + 2]
@@ -303,7 +303,7 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
 
 
 def _apart(u: np.ndarray, period: int) -> np.ndarray:
-    """Return, for each sample with a sample one period later, whether the inputs of both differ."""
+    """Return, for each sample and the sample one period later, whether their inputs differ."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
     return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
 
@@ -311,7 +311,7 @@ def _apart(u: np.ndarray, period: int) -> np.ndarray:
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
     """Return the realisations in recordings as whole periods; None if the inputs do not repeat.
 
-    If the inputs do not have a stated period, it is refused.
+    A stated period with which the inputs do not repeat is refused.
     """
     columns = columns or StageColumns()
     step = reading.sample_time
@@ -385,7 +385,7 @@ def loops_of(reading: StageReading) -> list[tuple[int, int]]:
     Raises
     ------
     DataError
-        There is no interval in which only this input moves; the message names it.
+        An input has no interval in which only this input moves; the message names the input.
     """
     u, _ = reading.whole()
     reach = np.ptp(u, axis=0)

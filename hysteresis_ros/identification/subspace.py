@@ -8,7 +8,7 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""State space with several inputs and outputs from a frequency response: subspace method, then refinement of its modes.
+"""State space with several inputs and outputs from a frequency response: subspace method, then refinement of the modes.
 
 McKelvey's method [1]_ for arbitrary lines finds A and C of a discrete state space from the range of the stacked
 response, without iteration and without a canonical form; B and D follow by linear least squares. The model is then
@@ -93,7 +93,7 @@ def _deviation(weights, shape):
 
 
 def _stabilised(A, radius: float) -> np.ndarray:
-    """Return A with poles outside the unit circle reflected into it, and then all poles within ``radius``."""
+    """Return A with poles outside the unit circle reflected into it, and then all poles moved to within ``radius``."""
     poles, vectors = np.linalg.eig(A)
     size = np.abs(poles)
     if np.all(size <= radius):
@@ -182,7 +182,7 @@ def within(sigma, beta, gamma, radius: float):
 
 
 class _ResponseError:
-    """Weighted error of a modal model on a response, with its derivatives with respect to the parameters."""
+    """Weighted deviation of a modal model from a response, with its derivatives with respect to the parameters."""
 
     def __init__(self, given: ModalParameters, data: FrequencyResponse, weights, feedthrough: bool):
         self.given, self.feedthrough = given, feedthrough

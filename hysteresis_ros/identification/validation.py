@@ -87,7 +87,7 @@ class Validation:
         return 100.0 * self.rmse / self.stroke
 
     def to_dict(self) -> dict:
-        """Return the figures under names that carry their units, e.g. ``rmse_m``, for JSON."""
+        """Return the figures for JSON, with units in their names, e.g. ``rmse_m``."""
         unit = self.unit
         figures = {
             "samples": self.samples,
@@ -203,8 +203,8 @@ def residual_autocorrelation(residual, lags: int = LAGS, confidence: float = CON
 def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
     """Return the correlation of earlier and later inputs with a residual at the lags -``lags`` … ``lags``.
 
-    For independent signals the variance of the correlation is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so coloured
-    signals have wider bounds. Correlation at negative lags means feedback from the output to the input.
+    For independent signals the variance of the correlation is Σ r_e(τ) r_u(τ)/N with the autocorrelations r_e and r_u,
+    so coloured signals have wider bounds. Correlation at negative lags indicates feedback from the output to the input.
 
     Units: ``lags`` [samples].
     """
@@ -266,7 +266,7 @@ def inflation(residual) -> float:
 
 
 def covariance_or_infinite(jacobian, residual, others: int = 0) -> np.ndarray:
-    """Return :func:`parameter_covariance`; infinite where the data does not determine the parameters."""
+    """Return :func:`parameter_covariance`; all entries are infinite if the data does not determine every parameter."""
     try:
         return parameter_covariance(jacobian, residual, others)
     except DataError:

@@ -339,7 +339,7 @@ class Identified(Compared):
         Raises
         ------
         IdentificationError
-                        The file cannot be written.
+            The file cannot be written.
         """
         write_file(path, self.text)
 
