@@ -12,7 +12,7 @@
 A drift is independent of the voltage. Creep with time constants longer than the recording looks almost like a straight
 line, because the mean voltage of a recording differs from its first voltage. The line in the residual is therefore
 fitted together with slow relaxations of the modelled displacement. Each relaxation may be as large as in known
-materials (:data:`CREEP`), so whatever the recording cannot distinguish from a drift adds to the standard deviation of
+materials (:data:`CREEP`), so creep that the recording cannot distinguish from a drift adds to the standard deviation of
 the drift.
 """
 
@@ -42,7 +42,7 @@ class Drift(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the line is more than creep could be."""
+        """Whether the line exceeds what creep could cause."""
         return abs(self.value) > CERTAIN * self.deviation
 
 

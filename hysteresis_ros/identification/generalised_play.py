@@ -107,9 +107,9 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 
 
 def competitors(before, progress) -> list[GeneralisedPlays]:
-    """Return fits with envelopes and, if speeds differ, with growing thresholds.
+    """Return fits with envelopes and, if speeds differ, with rate-dependent thresholds.
 
-    The structure of their linear part is that of the fit ``before``.
+    The structure of their linear part is the same as in the fit ``before``.
 
     Fits whose inverse could amplify errors are omitted.
     """
@@ -119,7 +119,7 @@ def competitors(before, progress) -> list[GeneralisedPlays]:
 
 
 def speeds_differ(data: Condensed) -> bool:
-    """Return whether swings of equal size differ in speed; if not, growing thresholds cannot be told from a lag."""
+    """Return whether large swings differ in speed; if not, growing thresholds cannot be distinguished from a lag."""
     turns = turning_points(data.voltage)
     swings = np.abs(np.diff(data.voltage[turns]))
     speeds = (swings / np.diff(turns))[swings > LEAST_SWING * data.voltage_range]

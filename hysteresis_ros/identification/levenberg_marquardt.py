@@ -26,8 +26,8 @@ import scipy
 
 #: Initial damping, and damping at which the search ends, relative to the diagonal of the normal matrix.
 DAMPING, MOST_DAMPING = 1e-3, 1e8
-#: A normal matrix takes far more time than a trial. Each step therefore tries several dampings, from EASED times the
-#: last damping upwards in factors of RAISED, and uses the best.
+#: Computing a normal matrix takes far more time than evaluating a trial point. Each step therefore tries several
+#: dampings, from EASED times the last damping upwards in factors of RAISED, and uses the best.
 EASED, RAISED = 0.02, 4.0
 LEAST_DAMPING = 1e-10
 

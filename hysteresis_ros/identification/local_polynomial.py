@@ -14,9 +14,9 @@ Over the lines k + r, |r| ≤ n, the model
 
     Y(k + r) = Σ_s r^s G_s U(k + r) + Σ_s r^s T_s + V(k + r),  s = 0 … R,
 
-is linear in G_s and T_s; G_0 is the response at line k. The covariance of the residual is that of the noise; its
-degrees of freedom are the number of lines in the window minus the number of unknowns [1]_. Each experiment has its own
-transient.
+is linear in G_s and T_s; G_0 is the response at line k. The covariance of the residual estimates the covariance of the
+noise; its degrees of freedom are the number of equations (lines in the window times experiments) minus the number of
+unknowns [1]_. Each experiment has its own transient.
 
 References
 ----------
@@ -38,8 +38,7 @@ from hysteresis_ros.identification.frequency_response import (
     ResponseMatrix,
 )
 
-#: Degree of the polynomials, and default by which the degrees of freedom of the covariance exceed the number of
-#: outputs.
+#: Degree of the polynomials, and default excess of the covariance's degrees of freedom over the number of outputs.
 DEGREE, FREEDOM = 2, 10
 #: Number of frequency lines whose equations are solved together.
 CHUNK = 512
@@ -60,17 +59,17 @@ def local_polynomial_response(
 
     Parameters
     ----------
-    u : array_like, shape (R, N, m)
-        Inputs of R experiments.
-    y : array_like, shape (R, N, q)
+    u : array_like, shape (E, N, m)
+        Inputs of E experiments.
+    y : array_like, shape (E, N, q)
         Outputs.
     sample_time : float
         [s]
     degree : int
-        Degree R of the polynomials, even.
+        Even degree of the polynomials, R in the equation above.
     freedom : int, optional
-        Degrees of freedom of the covariance at each line. More of them widen the window, and thus increase the error of
-        the polynomials at narrow resonances. By default the number of outputs plus :data:`FREEDOM`.
+        Degrees of freedom of the covariance at each line. More degrees of freedom widen the window, and thus increase
+        the error of the polynomials at narrow resonances. By default the number of outputs plus :data:`FREEDOM`.
     band : tuple of float, optional
         Lowest and highest frequency [Hz]; all excited lines by default.
     input_unit, output_unit : str
@@ -122,7 +121,7 @@ def local_polynomial_response(
 
 
 def _half_width(shape: tuple[int, int, int], degree: int, q: int, free: int) -> int:
-    """Return how many lines the window has on each side, so that ``free`` degrees of freedom remain."""
+    """Return the number of lines of the window on each side, so that ``free`` degrees of freedom remain."""
     experiments, N, m = shape
     if degree < 0 or degree % 2:
         raise IdentificationError(f"degree = {degree}: must be an even number ≥ 0")

@@ -11,10 +11,10 @@
 
 One large loop does not determine a Preisach density over two variables, so the fit uses a simple density that such
 loops determine: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width
-of an elementary loop and linear in the bias of the loop. The Everett map of this density is that of plays driven by the
-mapped voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range). The weights follow by
-linear least squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's
-law.
+of an elementary loop and linear in the bias of the loop. The Everett map of this density is the Everett map of plays
+driven by the mapped voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range). The
+weights follow by linear least squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights
+this is Rayleigh's law.
 
 A *free* density (:class:`FreeDensity`) has a weight ≥ 0 for each cell of the plane of thresholds. It describes every
 loop with return-point memory and rising branches: loops that saturate, loops with a dead zone, and loops whose branches
@@ -101,7 +101,7 @@ class Density(PlayFit):
         voltage, bias = self.data.voltage, shape["bias"]
         g = self.bent(voltage, bias)
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
-        # the initial state of the Preisach block: from the lower end of the range up to 0 V
+        # initial state of the Preisach block: the voltage has risen from the lower end of the range to 0 V
         start = np.maximum(bottom + self.radii, rest - self.radii)
         before = plays(self.bent(np.array([0.0, *self.data.history]), bias), self.radii, start)[-1]
         return np.column_stack([voltage, plays(g, self.radii, before) - start])

@@ -65,7 +65,7 @@ class Columns:
     namespace : str, optional
         Namespace of the axis in a bag.
     range : (int, int or None), optional
-        First sample and the one after the last; all by default.
+        First sample, and the sample after the last one; by default all samples.
     resample : float or "auto", optional
         Sample time [s] of a uniform grid for the data; ``auto``: the median interval between the samples.
     negate : bool
@@ -74,7 +74,7 @@ class Columns:
         Use every sample; by default long data is reduced to the informative samples
         (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
-        For long data only average neighbouring samples and omit no interval, because an evaluation uses the whole
+        For long data, only average neighbouring samples and omit no interval; for evaluations, which use the whole
         recording.
     input_unit, output_unit : str, optional
         Units of the two columns, for a column without a unit in its name or in ``input`` and ``output``. Units other
@@ -219,7 +219,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column with the clearest name, of that unit, else without unit, else any; None if two are equal."""
+    """Return the column with the clearest name: of this unit, else without unit, else any; None without a clear one."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     fitting = fitting or list(free)
     ranked = sorted(fitting, key=lambda name: _rank(name, names))

@@ -40,12 +40,12 @@ def find_model(name: str) -> HysteresisModel:
 
 
 def linear_words(model: HysteresisModel) -> tuple[str, ...]:
-    """Return the parts and stages that may follow a model."""
+    """Return the parts and linear stages that may follow a model."""
     return (*model.parts, *(STAGES if model.stages else ()))
 
 
 def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | None]:
-    """Return the parts that may be fitted together with the hysteresis, and the stage after it or None."""
+    """Return the parts that may be fitted together with the hysteresis, and the linear stage after it or None."""
     entry = find_model(model)
     linear = linear_words(entry)
     words = words or "auto"

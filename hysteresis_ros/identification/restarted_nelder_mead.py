@@ -30,9 +30,9 @@ SPREAD = 0.5
 #: Smallest relative reduction of the cost that counts as an improvement.
 NO_BETTER = 1e-6
 MOST_RESTARTS = 10
-#: Approximate duration of the search from one start [s] above which several processes are used.
+#: Assumed number of evaluations of the search from one start, for an estimate of its duration.
 EVALUATIONS = 500
-#: Cost of a perfect fit relative to that of the guess; smaller differences are rounding errors.
+#: Cost of a perfect fit, relative to the cost of the guess; smaller differences are rounding errors.
 PERFECT = 1e-18
 
 
@@ -126,7 +126,7 @@ class _FiniteCost:
 
 
 def _runs(cost: _FiniteCost, guesses: list[np.ndarray], settings: SimplexSettings, progress) -> list[SimplexRun]:
-    """Return the paths from all starts."""
+    """Return the runs from all starts."""
     if settings.workers == 1 or len(guesses) == 1:
         runs = []
         for number, guess in enumerate(guesses):

@@ -10,9 +10,9 @@
 """The zero of the sensor: its reading at rest at 0 V, determined from the beginning of a recording.
 
 If the voltage rests at 0 V long enough, the zero is the median reading there. If it rests for only a few samples, the
-noise of one reading would be contained in every displacement. The readings of the first small movement are then used
-too: a straight line is fitted to the difference between reading and model over the movement of the model. The value of
-this line without movement is the zero, so an error in the gain of the model does not matter.
+noise of these readings would shift every displacement. The readings of the first small movement are then used too: a
+straight line is fitted to the difference between reading and model versus the movement of the model. The value of this
+line at zero movement is the zero, so an error in the gain of the model does not matter.
 
 If a recording begins at another voltage, its first readings may still belong to 0 V, because an axis measures before
 its voltage acts and the stage has a delay; they then show the zero. This is assumed if the readings follow the model
@@ -35,12 +35,12 @@ AT_ZERO = 0.002
 #: With this number of samples at 0 V, the movement after them is not needed.
 ENOUGH = 30
 #: Largest movements that are used (the second if the first has too few readings), and largest movement that still
-#: counts as rest, as fractions of the stroke. Larger movements would make the line curved by hysteresis.
+#: counts as rest, as fractions of the stroke. With larger movements, hysteresis would curve the line.
 SMALL_MOVEMENTS, AT_REST = (0.01, 0.05), 1e-4
 #: Least number of readings during movement for a straight line.
 FEWEST_MOVING = 8
-#: The recording began at rest at 0 V if the error of the model from there is below this fraction of the error of the
-#: model from rest at the first voltage.
+#: The recording began at rest at 0 V if the error of the model with this start is below this fraction of the error of
+#: the model with a start from rest at the first voltage.
 CLEARLY = 0.5
 #: Number of compared samples at the beginning, and number of samples in which the model comes to rest before them.
 FIRST, BEFORE = 200, 4000
@@ -74,7 +74,7 @@ class SensorZero:
     """Reading of the sensor at rest at 0 V."""
 
     value: float  #: [m]
-    deviation: float  #: Standard deviation by the noise of the readings [m]; NaN for a single reading.
+    deviation: float  #: Standard deviation due to the noise of the readings [m]; NaN for a single reading.
 
     @property
     def significant(self) -> float:
@@ -136,7 +136,7 @@ def _unsure(moved) -> float:
 
 
 def _without_movement(moved, differences, still: float) -> SensorZero | None:
-    """Return the reading without movement; ``differences`` are readings minus the model's movement ``moved`` [m]."""
+    """Return the reading at zero movement; ``differences`` are readings minus the model's movement ``moved`` [m]."""
     resting = np.abs(moved) <= still
     if np.count_nonzero(~resting) < FEWEST_MOVING:
         return _at_rest(differences[resting], moved[resting]) if resting.any() else None

@@ -65,7 +65,7 @@ FAST_DYNAMICS = Threshold(
 STRUCTURE = Threshold(
     0.03, HELD_OUT, "More freedom always lowers the residual; a structure must also predict held-out parts."
 )
-#: Smallest improvement on held-out parts, in standard errors, because the improvement on one part may be chance.
+#: Smallest improvement on held-out parts, in standard errors, because the improvement on one part may be due to chance.
 STANDARD_ERRORS = 1.0
 LOOPS_OF_ONE_SIZE = Threshold(
     0.3,
