@@ -202,7 +202,7 @@ def _in_units(search: SimplexSearch, units) -> SimplexSearch:
 
 #: Names of the fitted parameters, in the order of the vectors.
 OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
-KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # positions in the kernel, of all but the mass
+KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # positions in the kernel, without the mass
 #: Number of grid points per sample, during the search and for the result. Between the samples the input is linear, and
 #: the kernel takes one Runge-Kutta step per grid point.
 SEARCH_GRID = 4
@@ -212,7 +212,7 @@ FINE_GRID = 16
 TRIALS = 64
 SPREAD = 1.0
 FOLLOWED = 12
-#: Number of samples on which trial points are evaluated and refined; the best one is then refined on all samples.
+#: Number of samples on which trial points are evaluated and refined; the best point is then refined on all samples.
 SHORT_PART = 6000
 #: Output errors are limited to this multiple of the stroke, because the error of a diverging oscillation has no
 #: gradient.

@@ -66,7 +66,7 @@ EARLY_STEPS, EARLY_REALISATIONS = 6, 2
 PATIENCE = 3
 #: Allowed weightings of the errors.
 WEIGHTINGS = ("distortion", "absolute")
-#: Stages of the search, with the parameters that each adds to those of the earlier stages.
+#: Stages of the search, with the parameters that each stage adds to the parameters of the earlier stages.
 STAGES = (
     ("gains and plays", ("gains", "weights")),
     ("linear part", ("sigma", "gamma", "B", "C", "D")),
@@ -77,12 +77,12 @@ STAGES = (
 
 @dataclass(frozen=True, eq=False)
 class StructureData:
-    """Recordings of several inputs and outputs in periods, in steady state.
+    """Recordings of several inputs and outputs: whole periods in steady state.
 
     Parameters
     ----------
     u : array_like, shape (R, P N, m)
-        Inputs [V] of R realisations of P periods of N samples.
+        Inputs [V]: R realisations, each with P periods of N samples.
     y : array_like, shape (R, P N, q)
         Outputs [m].
     sample_time : float
@@ -474,8 +474,8 @@ def identify_structure(u, y, sample_time: float, period: int, **options) -> Iden
     Parameters
     ----------
     u : array_like, shape (R, P N, m)
-        Inputs [V] of R realisations of P periods of N samples: orthogonal or full random-phase multisines in steady
-        state, of one or several levels.
+        Inputs [V]: R realisations, each with P periods of N samples, of orthogonal or full random-phase multisines in
+        steady state, at one or several levels.
     y : array_like, shape (R, P N, q)
         Outputs [m].
     sample_time : float

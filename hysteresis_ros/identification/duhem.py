@@ -243,7 +243,7 @@ def _on_grid(grid, v, y):
     bands[2] = np.bincount(i, (1.0 - t) ** 2, n) + np.bincount(i + 1, t * t, n)
     bands[1, 1:] = np.bincount(i, t * (1.0 - t), n)[: n - 1]
     right = np.bincount(i, (1.0 - t) * z, n) + np.bincount(i + 1, t * z, n)
-    # a small penalty on curvature makes the system regular where there are no samples
+    # a small penalty on curvature keeps the equations solvable where there are no samples
     stiffness = 1e-6 * v.size / n
     for offsets, value in (((0, 0), 1.0), ((1, 1), 4.0), ((2, 2), 1.0)):
         bands[2, offsets[0] : n - 2 + offsets[0]] += stiffness * value
@@ -267,11 +267,11 @@ SIZE_WEIGHT = 1e-5
 #: Numbers of units and of knots, tried in order until the residual is small or no longer decreases.
 UNITS = (4, 8, 12, 18, 24)
 KNOTS = (8, 12, 18, 26, 38, 56)
-#: Residual (rms, of half the range) that is small enough.
+#: Residual (rms, as a fraction of half the range) below which no larger number is tried.
 SMALL_RESIDUAL = 4e-5
 TRAINING_STARTS = 2
 TRAINING_STEPS = 150
-#: Residual at which the training of networks ends.
+#: Residual below which networks count as trained, even if the training did not converge.
 TRAINED = 2e-4
 
 # Gauss-Legendre rule of three points on 0 … 1; the kernel of the model uses the same rule.

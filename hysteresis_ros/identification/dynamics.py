@@ -65,7 +65,8 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Ratio of the recording's length to a segment's length; segments overlap by half.
 LENGTHS = 8
-#: Number of folds. Segments are assigned to the folds in turn, so that an event does not fall into a single fold.
+#: Number of folds. Segments are assigned to the folds in turn, so that the effect of an event is not confined to one
+#: fold.
 FOLDS = 4
 #: A sweep passes each frequency once, so one fold may contain more than the fraction SWEPT of the input's power at a
 #: frequency, and the other folds then cannot predict the response there. At these frequencies, the sums are rotated
@@ -95,7 +96,7 @@ class SegmentSpectra:
 
     @property
     def resolution(self) -> float:
-        """Distance between the lowest frequencies [Hz]."""
+        """Distance between the two lowest frequencies [Hz]."""
         return float(self.frequencies[1] - self.frequencies[0])
 
     def at(self, frequencies) -> SegmentSpectra:
@@ -703,7 +704,7 @@ SCREENED, CONTINUED = 10, 4
 #: folds count that have at least the fraction LEAST_SHARE of the input's power near these modes (within the factor
 #: NEARBY_FREQUENCY of their frequencies). Each added mode must also improve the prediction at the frequencies near it.
 MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
-#: Largest number of evaluations of a fit without one fold, which starts near its minimum.
+#: Largest number of evaluations of a fit without one fold; such a fit starts near its minimum.
 FEW_EVALUATIONS = 6
 
 
@@ -817,8 +818,8 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
-    # each frequency also starts with a short lag and delay: values that replaced the missing mode lead to a local
-    # minimum
+    # each frequency also starts with a short lag and delay: values of lag and delay that compensated for the missing
+    # mode lead to a local minimum
     heads = (trial.values, search.with_short_delays(trial))
     for _, (frequency, damping) in sorted(found):
         if len(taken) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
@@ -1132,7 +1133,7 @@ class TurnSearch:
 
 
 def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, float]:
-    """Return the deviations of a linear stage, enlarged by its differences from that of the previous iteration.
+    """Return the deviations of a linear stage, enlarged by its differences from the previous iteration.
 
     Errors of the hysteresis model change the identified dynamics, but are not visible in the scatter of the response.
     """

@@ -615,7 +615,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
             f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must contain at least two "
             "periods of at least 16 samples"
         )
-    # if there are enough periods, the first one is discarded, because the system settles during it
+    # if there are enough periods, the first period is discarded, because the system settles during it
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
     lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1

@@ -44,8 +44,8 @@ class Request:
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
-    #: Earlier results of :func:`.separation.separated` for this data, by the arguments of that function; and lists of
-    #: earlier fits of plays and densities, by :meth:`.separation.Start.past`.
+    #: Earlier results of :func:`.separation.separated` for this data, keyed by the arguments of that function; and
+    #: lists of earlier fits of plays and densities, keyed by :meth:`.separation.Start.past`.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:

@@ -54,7 +54,7 @@ class Crept(NamedTuple):
     """Response of columns to creep."""
 
     case: tuple[float, bool]  #: Longest time of the creep [s], and whether it had settled at the first sample.
-    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed twice.
+    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed a second time.
     growth: np.ndarray | None = None  #: shape (N, m); Additional response for a creep rate of 1.
 
 
@@ -283,7 +283,7 @@ def cholesky_factor(gram) -> np.ndarray:
 
 
 class WeightSolver:
-    """Constrained least squares for several penalties, compressed by the Cholesky factor R."""
+    """Constrained least squares for several penalties; the data is compressed into the Cholesky factor R."""
 
     def __init__(self, regressors, free, target, roughness, ridge=None):
         self.count = regressors.shape[1]

@@ -186,7 +186,7 @@ class PolynomialIdentification:
 
 
 def _basis(count: int) -> np.ndarray:
-    """Return the matrix from θ to the 21 coefficients, shape (21, count), with which both corner conditions hold."""
+    """Return the matrix from θ to the 21 coefficients, shape (21, count), for which both corner conditions hold."""
     basis = np.zeros((7, 3, len(FREE)))
     d_v, c_v1, c_v2, d_1, c_r2, c_f2, d_2, c_r2_slope, c_f2_slope = range(len(FREE))
     basis[0, [0, 1, 2], [d_v, c_v1, c_v2]] = 1.0
@@ -215,7 +215,7 @@ def _slopes(basis, v_low) -> np.ndarray:
     """Return G such that G θ are the slopes that PolynomialParameters requires to be positive."""
 
     def curve(family, v_max, v, order):
-        """Row of the value (order 0) or the slope (1) of a branch."""
+        """Return the row for the value (order 0) or the slope (order 1) of a branch."""
         powers = v_max ** np.arange(3)
         rows = basis.reshape(7, 3, -1)[family : family + 3]
         factors = (1.0, v, v * v) if order == 0 else (0.0, 1.0, 2.0 * v)

@@ -187,7 +187,7 @@ class FreeWeights(PlayFit):
 
 
 def _zones(x, thresholds):
-    """Return the outputs of dead zones, shape (N, k): zones with t ≥ 0 act above t, those with t < 0 below t."""
+    """Return the outputs of dead zones, shape (N, k): zones with t ≥ 0 act above t, zones with t < 0 below t."""
     inside = x[:, None] - thresholds
     return np.where(thresholds >= 0.0, np.maximum(inside, 0.0), np.minimum(inside, 0.0))
 

@@ -90,7 +90,7 @@ def recover_voltage(
     return InverseValidation(found, error, rmse, rmse * gain, 100.0 * rmse / float(np.ptp(v[skip:])))
 
 
-#: Known initial states of a prediction.
+#: Allowed initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
 #: Sample times count as equal up to this relative difference.
 SAME_RATE = 1e-4

@@ -42,7 +42,7 @@ FREE_CELLS, MOST_NODES = 16, 65
 SEARCHED, SEARCHED_CELLS = 1500, 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
-#: Largest magnitude of κ, which states how the density depends on the bias. g(V) (see above) is monotone for κ up to
+#: Largest magnitude of κ, which describes how the density depends on the bias. g(V) (see above) is monotone for κ up to
 #: 0.5.
 LARGEST_BIAS = 0.4
 

@@ -302,7 +302,7 @@ def block_means(values: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _telling_stretch(voltage, averaged: int):
-    """Return begin and end of the most informative interval, and the number of full strokes in all data."""
+    """Return beginning and end of the most informative interval, and the number of full strokes in all data."""
     block = math.ceil(voltage.size / OVERVIEW)
     coarse = block_means(voltage, block)
     turns = turning_points(coarse)
@@ -414,7 +414,7 @@ def inliers(error, first: int) -> np.ndarray:
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     good = _within(error, first) | _within(alone, first)
-    # the peak of a smooth error is no outlier: it is close to its neighbours, even if the noise is smaller still
+    # a smooth error is not an outlier, even if its peak exceeds its neighbours by more than the noise
     good |= np.abs(alone) < AWAY * np.abs(error - np.median(error[first:]))
     # ringing too fast for a median filter is not an outlier: it affects many samples close together
     width = 2 * STRETCH + 1

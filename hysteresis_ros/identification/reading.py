@@ -74,8 +74,8 @@ class Columns:
         Use every sample; by default long data is reduced to the informative samples
         (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
-        For long data, only average neighbouring samples and omit no interval; for evaluations, which use the whole
-        recording.
+        Do not omit an interval of long data, but only average neighbouring samples; evaluations need this, because they
+        use the whole recording.
     input_unit, output_unit : str, optional
         Units of the two columns, for a column without a unit in its name or in ``input`` and ``output``. Units other
         than V and m are kept in files, reports and messages.
@@ -219,7 +219,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column with the clearest name: of this unit, else without unit, else any; None without a clear one."""
+    """Return the column with the clearest name: of this unit, else without unit, else any; None if unclear."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     fitting = fitting or list(free)
     ranked = sorted(fitting, key=lambda name: _rank(name, names))

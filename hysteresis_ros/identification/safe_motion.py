@@ -45,7 +45,7 @@ from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import eigenvalues
 from hysteresis_ros.units import shown_unit
 
-#: Time in which an unknown stage moves over the voltage range [s].
+#: Time [s] for the whole voltage range if no limit is known.
 FIRST_SECONDS = 1.0
 #: Largest ratio of the slew rate to the largest slew rate in the recording, and fraction of the slew rate that is
 #: reserved for setpoints.

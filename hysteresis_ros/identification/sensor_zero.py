@@ -15,9 +15,9 @@ straight line is fitted to the difference between reading and model versus the m
 line at zero movement is the zero, so an error in the gain of the model does not matter.
 
 If a recording begins at another voltage, its first readings may still belong to 0 V, because an axis measures before
-its voltage acts and the stage has a delay; they then show the zero. This is assumed if the readings follow the model
-from rest at 0 V clearly better than the model from rest at the first voltage. Otherwise the recording does not show the
-zero.
+its voltage acts and the positioner has a delay; these readings then show the zero. This is assumed if the readings
+follow the model from rest at 0 V clearly better than the model from rest at the first voltage. Otherwise the recording
+does not show the zero.
 """
 
 from __future__ import annotations

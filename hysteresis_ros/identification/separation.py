@@ -256,7 +256,10 @@ def _trimmed(error) -> float:
 
 
 def _closed(data: IdentificationData) -> bool:
-    """Return whether the recording may be a whole number of periods: it ends where it begins, with equal swings."""
+    """Return whether the recording may be a whole number of periods.
+
+    It then ends where it begins, and reaches both ends of its range in its first three quarters.
+    """
     u, span = data.input, float(np.ptp(data.input))
     reached = [np.flatnonzero(np.abs(u - end) <= CLOSED_PART * span)[0] for end in (u.max(), u.min())]
     return max(reached) <= 0.75 * len(data) and all(

@@ -104,7 +104,7 @@ def _stabilised(A, radius: float) -> np.ndarray:
 
 
 def modal(model: LinearModel) -> LinearModel:
-    """Return a model of even order in modal form: A has 2×2 blocks, and the input matrix of each has norm 1."""
+    """Return a model of even order in modal form: A has 2×2 blocks, and the part of B for each block has norm 1."""
     if model.order % 2:
         raise FitError(f"order = {model.order}: modes are pairs of poles; choose an even order")
     poles, vectors = np.linalg.eig(model.A)

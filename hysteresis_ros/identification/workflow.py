@@ -10,7 +10,8 @@
 """Identification and validation in one call each: from a recording to a parameter file, and to the accuracy of a model.
 
 The commands ``hysteresis identify`` and ``hysteresis validate`` call :func:`identify` and :func:`validate`. With
-``--model auto``, all models that need no initial values are compared on held-out thirds of the recording.
+``--model auto``, all models whose hysteresis is a separate, invertible block are compared on held-out thirds of the
+recording.
 """
 
 from __future__ import annotations
@@ -286,13 +287,13 @@ class Identified(Compared):
     inverse : InverseValidation or None
         Voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
-        By names with units, as in :class:`Compared`.
+        Figures by names with units, as in :class:`Compared`.
     warnings : tuple of str
         Sentences about uncertainties.
     recording : RecordingSummary, optional
         What the recording showed before the fit, as lines to print.
     identification : Identification
-        The result with deviations, assumptions and, for searches, the path of the parameters.
+        The result with deviations, assumptions and, for iterative searches, the parameters after each iteration.
     text : str
         The parameter file: a complete axis, as plant, compensator and controller load it.
     response : ResponseCheck, optional
