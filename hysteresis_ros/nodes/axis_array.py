@@ -12,7 +12,7 @@
 The parameter file describes one axis, as for the other nodes. The section ``axis_array`` states the number of axes, and
 a separate file contains the values that differ between the axes (:mod:`hysteresis_ros.loop.axis_array`). Plants
 (simulated actuators), controllers and compensators of all axes are computed in one call per sample. In lockstep the
-samples follow each other as fast as the machine can, or each sample waits for new setpoints; in real time the samples
+samples follow each other as fast as the computer allows, or each sample waits for new setpoints; in real time they
 begin at absolute deadlines.
 """
 
@@ -53,7 +53,7 @@ _ARRAY, _JOINTS, _TEXT = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/Join
 STRIDE, ACKNOWLEDGED = 64, 0.1
 #: Real time: delay [periods] above which the schedule is shifted, instead of catching up.
 FAR_BEHIND = 10.0
-#: Interval of the checks of a paused array, and of the bag [s].
+#: Interval between checks of a paused array, and between checks of the bag [s].
 PAUSE, TEND = 0.01, 0.1
 
 
@@ -119,7 +119,7 @@ class ArrayRunner(RealTime):
             node.finish()
 
     def _await_partners(self) -> bool:
-        """Wait for a publisher of the setpoints and a subscriber of the measurements; False when the node exits."""
+        """Wait for a publisher of the setpoints and a subscriber of the measurements; False if the node exits."""
         node = self.node
         joints, _ = node.outputs
         while not (joints.get_subscription_count() and node.count_publishers(node.setpoints_topic)):
@@ -130,7 +130,7 @@ class ArrayRunner(RealTime):
         return True
 
     def _await_answer(self, samples: int) -> bool:
-        """Wait for setpoints after the present sample, unless it is the last one; False when none arrived."""
+        """Wait for setpoints after the present sample, unless it is the last one; return False if none arrived."""
         node, patience = self.node, time.monotonic() + self.node.parameters.partner_timeout
         while not node.answered.wait(PAUSE) and not (samples and node.sample >= samples) and node.running:
             if self._leaving.is_set():
@@ -165,7 +165,7 @@ class AxisArrayNode(AxisNode):
         self._axis, self._text = axis, text
         #: Held while a sample is computed and published, and while the bag changes.
         self.lock = threading.Lock()
-        #: Number of samples that began more than a period late, and of refused messages.
+        #: Number of samples that began more than a period late, and number of refused messages.
         self.late = self.refused = 0
         self.recording: GuardedBag | None = None
         #: Set when a message on ``setpoints`` has arrived since the last sample.
@@ -232,12 +232,12 @@ class AxisArrayNode(AxisNode):
             self._record_setpoints()
 
     def begin(self) -> None:
-        """Start the samples."""
+        """Start to compute samples."""
         self.timer(TEND, self._tend)
         self.runner.start_time()
 
     def release(self) -> None:
-        """Stop the samples and finish the bag."""
+        """Stop the thread of the samples; finish the bag at the end of a run or at exit."""
         if self.runner is not None:
             self.runner.stop_time()
         with self.lock:
@@ -336,7 +336,7 @@ class AxisArrayNode(AxisNode):
             self._record_setpoints()
 
     def finish(self) -> None:
-        """Publish the end of the run; called by the thread of the samples."""
+        """Publish the end of the run; called by the thread that computes the samples."""
         self.end_of_run = self.sample
         self._end.publish(UInt64(data=self.sample))
         self.get_logger().info(f"{self.sample} samples of {self.parameters.axes} axes, {self.late} of them late")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Base of the nodes of an axis: lifecycle, topics, change log, diagnostics; the class of a node is the last one.
+"""Base of the nodes of an axis: lifecycle, topics, change log, diagnostics; the last class, ``AxisNode``, joins them.
 
 The topic ``changes`` logs the initial parameters of a node and every change at run time. Entries are numbered, so that
 a recorder detects missing ones; the last entry marks the end of the run. A recorder in the process of a fused loop
@@ -62,8 +62,8 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
         super().__init__(name, **options)
         self.guard_services()
 
-    # The service calls the method by this name, because Python mangles a private name with the name of its class in
-    # rclpy.
+    # Python mangles a private name with the name of the class in rclpy that defines it, so the service calls the method
+    # by this name.
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         wanted = request.transition
         allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
@@ -81,11 +81,11 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
         return self.get_parameter("autostart").value is not False
 
     def configure_now(self) -> bool:
-        """Configure; False when that failed."""
+        """Configure the node; return False if that failed."""
         return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
 
     def activate_now(self) -> bool:
-        """Activate; False when that failed."""
+        """Activate the node; return False if that failed."""
         return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
 
@@ -184,7 +184,7 @@ class Endpoints(Node):
 
 
 class ChangeLog:
-    """Change log of one node on ``changes``; silent before :meth:`open`."""
+    """Change log of one node on ``changes``; it publishes nothing before :meth:`open`."""
 
     def __init__(self, node: str):
         self._node = node
@@ -212,7 +212,7 @@ class ChangeLog:
             self._publisher.publish(String(data=text))
 
     def since(self, made: int) -> tuple[list[str], int]:
-        """Return the entries after the first ``made`` ones, as JSON, and the present number of entries."""
+        """Return the entries after the first ``made`` ones, as JSON, and the number of all entries so far."""
         new = min(self._made - made, len(self._entries))
         return list(self._entries)[len(self._entries) - new :], self._made
 
@@ -289,7 +289,7 @@ class Compatibility:
 #: Levels: normal; needs attention; the axis does not follow its commands; no report.
 OK, WARN, ERROR, STALE = range(4)
 
-#: Component that a status describes; it follows the node name, as diagnostic aggregators expect.
+#: Component that a status describes; in the status name it follows the node name, as diagnostic aggregators expect.
 ITEM = "axis"
 
 #: Time after activation from which missing inputs are an error [s].
@@ -361,18 +361,17 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
     :meth:`reset_blocks`, :meth:`retune`, and the processing of a sample; :attr:`runner` decides when a sample is
-    processed (lockstep or real time). Wrong input or a broken run sets :attr:`failure`, a sentence; the process of the
-    node then exits with :attr:`exit_code`.
+    processed (lockstep or real time). Wrong input or a failed run sets :attr:`failure` to a sentence; the node's
+    process then exits with :attr:`exit_code`.
     """
 
-    #: Class of the node's parameters; None: the class that NODE_PARAMETERS has for the node's name.
+    #: Class of the node's parameters; None: the class in NODE_PARAMETERS under the node's name.
     parameters_class: type[NodeParameters] | None = None
     #: Whether the node has ``~/state``.
     has_state = True
-    #: Time without a message after which an input counts as missing, and another publisher may replace its publisher
-    #: [s].
+    #: Time without a message [s] after which an input is missing; another publisher may then replace the silent one.
     patience: float = math.inf
-    #: Whether the result of this node is incomplete, which may be so even after a regular exit.
+    #: Whether the node's result is incomplete; this may be true even after a regular exit.
     has_lost: bool = False
     #: Whether this node can be reset on a running axis without a step of its output.
     rests: bool = True
@@ -482,7 +481,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         """Apply changed parameters without a step of the output."""
 
     def on_running(self, running: bool) -> None:
-        """``~/start`` (True) or ``~/stop`` (False) was called."""
+        """Handle a call of ``~/start`` (True) or ``~/stop`` (False)."""
 
     def hindrance(self) -> str:
         """Return why this node does not run although the user has not stopped it; empty when it runs."""
@@ -493,7 +492,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return "stopped"
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when all are there."""
+        """Return the partner whose input for the present sample is missing; empty when all inputs have arrived."""
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:
@@ -612,7 +611,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return super().on_shutdown(state)
 
     def destroy_node(self) -> None:
-        """Leave the graph, and the axis in this process."""
+        """Remove the node from the graph, and from the axis in this process."""
         if self.fused is not None:
             self.fused.leave(self)
         super().destroy_node()

@@ -115,7 +115,7 @@ class DisplacementCameraNode(AxisNode):
     def _answer(self, header, displacement: float, place) -> None:
         told = self._message
         told.header.stamp = header.stamp
-        # the frame_id of an image is that of the camera; only TRIPPED_FRAME is passed on
+        # the frame_id of an image names the camera; only TRIPPED_FRAME is passed on
         told.header.frame_id = TRIPPED_FRAME if header.frame_id == TRIPPED_FRAME else ""
         told.position[0] = displacement
         self._joint_states.publish(told)

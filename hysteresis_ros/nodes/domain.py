@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Discovery range of the nodes of this machine, and isolated ROS domains for graphs; imports no ROS.
+"""Discovery range of the nodes of this machine, and isolated ROS domains for graphs; this module imports no ROS.
 
-A graph started by a command or a test must never meet an axis of the user: two graphs in the same domain and namespace
-receive each other's commands. So a command or a test starts its graph in a domain of its own, above those that users
-choose (0 to 101). The graph cannot be discovered from other machines. While the graph runs, nodes that were not started
-for it are refused in its domain.
+A graph started by a command or a test must never exchange messages with an axis of the user: two graphs in the same
+domain and namespace receive each other's commands. So a command or a test starts its graph in a domain of its own,
+above the domains that users choose (0 to 101). The graph cannot be discovered from other machines. While the graph
+runs, nodes that were not started for it are refused in its domain.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def reaches_others() -> bool:
 
 
 def named(endpoint) -> str:
-    """Return the full name of the node that has a discovered publisher or subscription."""
+    """Return the full name of the node that owns a discovered publisher or subscription."""
     if "UNKNOWN" in endpoint.node_name:  # placeholder of rmw: _NODE_NAME_UNKNOWN_
         return "a node without a known name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
@@ -73,16 +73,16 @@ _PARTICIPANTS = 120
 _CLAIM = 249
 
 
-#: First domain that the next claim of this process tries.
+#: Counter of the claims of this process, which selects the first domain that the next claim tries.
 _turns = itertools.count()
 
 
 class Domain:
     """A ROS domain that no other process on this machine uses, reserved until :meth:`close`.
 
-    The claim is a bound port of the domain: among the processes of all users, the operating system gives the port to
-    only one, and releases it however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed,
-    even while it is empty. Use the object in a ``with`` statement, or close it.
+    The claim is a bound port of the domain. The operating system gives the port to only one process, of any user, and
+    releases it however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed, even if no node
+    uses it. Use the object in a ``with`` statement, or close it.
     """
 
     def __init__(self):
@@ -156,7 +156,7 @@ def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
 
 
 def _unused(domain: int) -> bool:
-    """Return whether the domain's discovery ports are free: multicast and those of the participants (RTPS 9.6.1)."""
+    """Return whether the domain's discovery ports are free: for multicast and for each participant (RTPS 9.6.1)."""
     for offset in (0, *(10 + 2 * participant for participant in range(_PARTICIPANTS))):
         probe = _bound(domain, offset)
         if probe is None:

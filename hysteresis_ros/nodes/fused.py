@@ -41,12 +41,12 @@ from hysteresis_ros.nodes.timing import CountedRate
 from hysteresis_ros.references import inchworm_layout as gait
 from hysteresis_ros.units import readable
 
-#: Duration of a sample, in periods, from which its time counts as spent in the driver.
+#: Minimum duration of a sample [periods] for its time to be attributed to the driver.
 IN_DRIVER = 10.0
 
 
 class LoopPace:
-    """Rate, jitter and missed deadlines of the loop; interface as :class:`hysteresis_ros.nodes.timing.Pace`."""
+    """Rate, jitter and missed deadlines of the loop; same interface as :class:`hysteresis_ros.nodes.timing.Pace`."""
 
     def __init__(self, fused):
         self._fused = fused
@@ -90,7 +90,7 @@ RETURN = 2.0
 #: Maximum time for which Python blocks a loop that applies a change [s].
 SWITCH_INTERVAL = 5e-4
 
-#: The same for a loop that calls a driver in Python [s].
+#: Maximum time for which Python blocks a loop that calls a driver in Python [s].
 PYTHON_SWITCH_INTERVAL = 1e-4
 
 #: Time after which a loop that is not ready is assumed to be compiling [s]; loading compiled code from the cache takes
@@ -108,7 +108,7 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 class FusedAxis:
     """The nodes of one axis in this process, and its loop, which runs once all nodes of the loop are active.
 
-    The axes of a stage share one loop, in which each has an index. They start, stop and reset together.
+    The axes of a stage share one loop, in which each axis has an index. They start, stop and reset together.
     """
 
     def __init__(self, first: FusedAxis | None = None, stage: StageParameters | None = None):
@@ -132,7 +132,7 @@ class FusedAxis:
         return node
 
     def leave(self, node) -> None:
-        """Remove a node; the removal of the first one ends the loop."""
+        """Remove a node; the removal of the first node ends the loop."""
         self.end()
         self.nodes.pop(node.kind, None)
         node.fused = None
@@ -147,7 +147,7 @@ class FusedAxis:
         """The node of the reference source."""
         return self.nodes[signals.kind_of(self.nodes).source]
 
-    # -- beginning and end ---------------------------------------------------------------------------------------
+    # -- start and end -------------------------------------------------------------------------------------------
 
     def activated(self, node) -> None:
         """Record an activated node; the last one starts the loop."""
@@ -163,7 +163,7 @@ class FusedAxis:
 
     @property
     def _is_complete(self) -> bool:
-        """Whether all nodes exist; those of another axis of a stage may not have been created yet."""
+        """Whether all nodes exist; the nodes of another axis of the stage may not have been created yet."""
         if self._stage is None:
             return True
         return len(self.together) == len(self._stage.axes) and all(
@@ -171,7 +171,7 @@ class FusedAxis:
         )
 
     def deactivated(self, node) -> None:
-        """Move the outputs of a deactivated node to their safe values; if it is the plant, the outputs of all nodes."""
+        """Move the outputs of a deactivated node to their safe values; for the plant, move all outputs."""
         if self.loop is None or self.loop.is_blocked:
             return
         if node.kind in STOPPABLE:
@@ -265,7 +265,7 @@ class FusedAxis:
 
     @property
     def missed(self) -> int:
-        """Number of skipped samples of the loop; without a loop, that of the last one."""
+        """Number of skipped samples of the present loop, or of the last loop if no loop exists."""
         return self._missed if self.loop is None else self.loop.missed
 
     def lose_a_part(self) -> None:
@@ -303,7 +303,7 @@ class FusedAxis:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
-        """Reset the node's part of the loop to rest, for the plant all parts; the counter of samples continues."""
+        """Reset the node's part of the loop to rest; for the plant, reset all parts. The sample counter continues."""
         if self.loop is None or self.axis is None:
             return
         whole = node.kind == "plant_simulator"
@@ -329,7 +329,7 @@ class FusedAxis:
     # -- steering ------------------------------------------------------------------------------------------------
 
     def apply(self, name: str, action: str, parameters: dict | None = None) -> None:
-        """Apply a change from a sample on, and wait until it is in effect."""
+        """Apply a change, and wait until it is in effect."""
         assert self.loop is not None
         self.apply_together({self: Change(self.loop.sample, name, action, parameters or {})})
 
@@ -354,7 +354,7 @@ class FusedAxis:
             self.loop.halt()
 
     def go_on(self) -> None:
-        """Restart all parts after an emergency stop or a trip without a step, unless a device cannot be made safe."""
+        """Restart all parts without a step after an emergency stop or a trip, unless a device does not recover."""
         if self.loop is None:
             return
         try:
@@ -378,7 +378,7 @@ class FusedAxis:
     # -- showing -------------------------------------------------------------------------------------------------
 
     def reader(self) -> Reader:
-        """Return a reader of the samples of the axis that begins with the next one."""
+        """Return a reader of the samples of the axis, which begins with the next sample."""
         assert self.loop is not None
         return self.loop.reader(self.place)
 
@@ -408,7 +408,7 @@ class FusedAxis:
                 one.plant.finish()
 
     def _show_axis(self, until: int, ended: bool) -> bool:
-        """Publish this axis' changes, and its last new sample before ``until``; return whether there was one."""
+        """Publish this axis' changes and last new sample before ``until``; return whether there was a new sample."""
         assert self._reader is not None
         samples = self._reader.take(until)
         if samples.table.shape[1]:
@@ -485,8 +485,8 @@ def skipped_text(rate: float, limit: int, found: Lateness, driver: str) -> str:
 def _hold_the_lock_briefly(realtime: RealtimeParameters) -> None:
     """Shorten the times for which this process holds Python's lock, because the loop waits for the lock in each sample.
 
-    The garbage collector examines only new objects, and other programs do not interrupt the calling thread, which
-    publishes.
+    Afterwards, the garbage collector examines only new objects, and other programs do not interrupt the calling thread,
+    which publishes the samples.
     """
     gc.collect()
     gc.freeze()
@@ -536,7 +536,7 @@ class Fused(RealTime):
         self.fused.activated(self.node)
 
     def begin_again(self) -> None:
-        """Reset the part."""
+        """Reset the node's part of the loop."""
         self.fused.reset(self.node)
 
     def clear(self) -> None:
@@ -594,7 +594,7 @@ class Fused(RealTime):
             self.fused.go_on()
 
     def missing_voltage(self) -> str:
-        """Return '': no partner is awaited."""
+        """Return an empty text, because no partner is awaited."""
         return ""
 
     def explain_trip(self) -> str:

@@ -66,11 +66,11 @@ class HysteresisCompensatorNode(Responder):
         self.compile()
 
     def step(self) -> None:
-        """Run the compensator of the loop on the row."""
+        """Compute the sample in the row with the compensator of the loop."""
         _COMPENSATE(self._laws, self.part.arrays, self.row)
 
     def begin(self) -> None:
-        """In real time continue from the present output voltage."""
+        """In real time, continue from the present output voltage."""
         self._told = False
         if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()

@@ -51,8 +51,8 @@ _REFER = interpreted(refer)
 class InchwormSequencerNode(ReferenceSource):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
-    Setpoints [m] and speeds [m/s] are accepted at any time. Of the requests (start, stop, home, release) one takes
-    effect per sample, in the order of the calls. ``~/state`` contains setpoint, speed and request of each sample, so
+    Setpoints [m] and speeds [m/s] are accepted at any time. One request (start, stop, home, release) takes effect per
+    sample, in the order of the calls. ``~/state`` contains setpoint, speed and request of each sample, so
     that a run can be repeated offline bit for bit.
 
     In the safe state both clamps are closed, which needs voltage: without voltage they open. At exit, and when
@@ -106,7 +106,7 @@ class InchwormSequencerNode(ReferenceSource):
         self.subscriber(Float64, "speed", self._on_speed, setpoint_qos())
 
     def begin(self) -> None:
-        """In real time start when the loop is complete."""
+        """In real time, start when the loop is complete."""
         super().begin()
         self._complete = not self.runner.by_message
         if not self.runner.exact and self.runner.by_message:
@@ -211,7 +211,7 @@ class InchwormSequencerNode(ReferenceSource):
     # -- samples -----------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Write the positions of slider and extender into a row, NaN for a missing one."""
+        """Write the positions of slider and extender into a row, NaN for a missing position."""
         if not super().read(message, row):
             return False
         row[signals.EXTENDER] = math.nan
@@ -239,7 +239,7 @@ class InchwormSequencerNode(ReferenceSource):
         self.row[signals.SPEED] = math.nan
 
     def step(self) -> None:
-        """Run the source of the loop on the row."""
+        """Compute the sample in the row with the reference source of the loop."""
         _REFER(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
@@ -320,7 +320,7 @@ class InchwormSequencerNode(ReferenceSource):
     def health(self):
         """Report errors with a remedy, missed steps, refused setpoints, and the state of the motor."""
         sequencer, x = self.sequencer, self.sequencer.x
-        # in real time a sequencer without measurements has nothing to answer
+        # in real time, a long time since the last answered sample means that measurements are missing
         stale = self.stale or (not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate))
         values = {
             "setpoint_m": f"{self.setpoint:.9g}",
@@ -357,7 +357,7 @@ class InchwormSequencerNode(ReferenceSource):
         return (1, f"{refused} setpoints or speeds refused", values) if refused else (0, "", values)
 
     def _walk_values(self) -> dict[str, str]:
-        """Return the diagnostics of continuous walking over the phase."""
+        """Return the diagnostics of continuous walking."""
         x = self.sequencer.x
         if not self.parameters.walk.continuous:
             return {}

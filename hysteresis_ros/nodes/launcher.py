@@ -52,13 +52,13 @@ def die_with_parent(parent: int) -> None:
 
 
 def starts_nodes(command: list[str]) -> bool:
-    """Return whether a command line is that of ``ros2 launch`` or ``ros2 run``."""
+    """Return whether a command line runs ``ros2 launch`` or ``ros2 run``."""
     words = [pathlib.PurePath(word).name for word in command[:3]]
     return "ros2" in words[:2] and any(word in STARTERS for word in words[1:])
 
 
 def leave_with_ros2() -> bool:
-    """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
+    """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it has ended.
 
     Return whether one of these commands has started the process. Both commands pass on only Ctrl-C: when SIGTERM ends
     them, for instance from a service manager, their nodes continue to run the axis. The exit of any other parent, such
@@ -108,7 +108,7 @@ def require_messages(stage: StageParameters) -> None:
 
 
 def require_ros() -> None:
-    """Raise HysteresisError when rclpy is not installed; does not import it."""
+    """Raise HysteresisError if rclpy is not installed, without importing it."""
     if importlib.util.find_spec("rclpy") is None:
         raise HysteresisError('rclpy is not installed: pip install "hysteresis_ros[ros]" or source /opt/ros/jazzy')
 
@@ -310,7 +310,7 @@ class Graph:
         """Stop all running processes; kill those that do not exit in time.
 
         In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would break
-        the run. A signal takes effect when all have exited, because they still write to the caller's folders.
+        the run. A signal takes effect only when all have exited, because until then they write to the caller's folders.
         """
         with _signals_held_back():
             self._stop()
@@ -333,7 +333,7 @@ class Graph:
 
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM take effect at the end; only the main thread receives them."""
+    """Delay Ctrl-C and SIGTERM until the block ends; only the main thread receives them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -354,7 +354,7 @@ def _signals_held_back() -> Iterator[None]:
 def node_command(
     name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn", enclave: str = ""
 ) -> list[str]:
-    """Return the command line of a process: one node, or all nodes of an axis; ``name`` is also its enclave."""
+    """Return the command line of one node, or of all nodes of an axis; the default enclave depends on ``name``."""
     module = name.removeprefix("hysteresis_") if name in ("hysteresis_axis", "hysteresis_stage") else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
     command += ["--params-file", str(path), "--log-level", log_level]
@@ -378,7 +378,7 @@ def session(environment: dict[str, str]) -> Iterator[None]:
 
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
-    """Start a process that ends with this one."""
+    """Start a process that ends when this process ends."""
     # In a separate session, so that Ctrl-C in a terminal reaches only this process, which then stops the nodes in
     # order.
     guard = partial(die_with_parent, os.getpid())

@@ -20,11 +20,11 @@ from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Runner
 
 #: Time-out of the first sample [s], long enough for discovery, and for compilation of the kernels on a machine without
-#: a cache. A node that has done its part of sample 0 also waits this long: the subscription of a recorder lets the node
-#: count as matched before its partner is present.
+#: a cache. A node that has answered sample 0 also waits this long: because of a recorder's subscription, the node
+#: counts as matched before its partner is present.
 STARTUP_TIMEOUT = 120.0
 
-#: Interval of the check of the partners, and of the check of the publishers of the inputs [s].
+#: Interval between checks for silent partners, and between checks of the publishers of the inputs [s].
 WATCH_PERIOD = 0.02
 PARTNER_PERIOD = 0.25
 
@@ -117,7 +117,7 @@ class Lockstep(Runner):
         """Do nothing after a reset: all nodes are reset together."""
 
     def leave(self) -> None:
-        """Do nothing: the other nodes detect from its silence that this node has stopped."""
+        """Do nothing: the other nodes detect the stop of this node from its silence."""
 
     def end(self) -> None:
         """End the run at deactivation: the next one starts at sample 0."""
@@ -157,7 +157,7 @@ class Lockstep(Runner):
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
-        """Return whether more messages arrived than samples need; these cannot be assigned, so the run ends."""
+        """Return whether more messages arrived than samples need; the surplus cannot be assigned, so the run ends."""
         if count <= allowed:
             return False
         what = f"{topic} has {count} messages at sample {self.node.sample}"
@@ -179,7 +179,7 @@ class Lockstep(Runner):
         """Process complete samples; overridden by runners that answer samples."""
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when all are there."""
+        """Return the partner whose input for the present sample is missing; empty when all inputs have arrived."""
         return self.node.missing_partner()
 
     # -- partners ----------------------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ class Lockstep(Runner):
             self.run_state.publish(String(data=state))
 
     def announce(self, failure: str) -> None:
-        """Publish to all nodes of the axis that the run is broken."""
+        """Publish to all nodes of the axis that the run has failed."""
         self.say(_FAILED + failure)
 
     def _on_run_state(self, message) -> None:

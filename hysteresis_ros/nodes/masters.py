@@ -167,7 +167,7 @@ class IdentifiedSubscription(Waitable):
         self._handle.__exit__(*error)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """One subscription."""
+        """Return the number of entities: one subscription."""
         return NumberOfEntities(num_subs=1)
 
     def add_to_wait_set(self, wait_set) -> None:
@@ -196,23 +196,23 @@ class IdentifiedSubscription(Waitable):
 #: Default time-out of an input [s].
 PATIENCE = 1.0
 
-#: Interval of the check whether this process was halted [s], and the delay that shows a halt [intervals].
+#: Interval between checks for a halt of this process [s], and delay of a check that indicates a halt [intervals].
 LOOK, LATE = 0.01, 3.0
 
-#: Time to discover nodes of other machines, and interval of the check for them [s].
+#: Time to discover nodes of other machines, and interval between checks for competing nodes [s].
 DISCOVERY, TURN = 2.0, 0.05
 
 #: Interval between two reports of refused messages [s].
 TELL = 10.0
 
-#: Interval of the check whether an active publisher has left the graph while a competing one sends [s]. A check takes
-#: as long as processing ten messages.
+#: Interval between checks whether an active publisher has left the graph while a competing publisher sends [s]. A check
+#: takes as long as processing ten messages.
 GRAPH_LOOK = 0.02
 
 #: Number of competing publishers whose last check is stored.
 MOST_RIVALS = 64
 
-#: Interval of the search for the name of an active publisher that is not known yet [s].
+#: Interval between searches for the unknown name of an active publisher [s].
 FIND = 0.2
 
 #: What to do about two active publishers.
@@ -225,7 +225,7 @@ class Master:
     def __init__(self, masters: Masters, topic: str, callback):
         self._masters, self.topic, self._callback = masters, topic, callback
         self.identity: bytes | None = None
-        #: Full name of the node of the active publisher, once the graph knows it.
+        #: Full name of the node of the active publisher, once it is known.
         self.name = ""
         #: Whether the user has allowed another node to replace an active publisher that is silent or has left.
         self.released = False
@@ -266,7 +266,7 @@ class Master:
         return False
 
     def find(self) -> None:
-        """Store the active publisher's name, and that it is in the graph; both are needed to detect its replacement."""
+        """Store the active publisher's name and presence in the graph; both are needed to detect its replacement."""
         if not self.identity or (self._was_there and self.name):
             return
         masters = self._masters
@@ -317,7 +317,7 @@ class Masters:
     # -- inputs ----------------------------------------------------------------------------------------------------
 
     def add(self, message_type, topic: str, callback, qos, events):
-        """Subscribe an input; the subscription outlives cleanup and is used again."""
+        """Subscribe to an input; the subscription remains after cleanup and is used again."""
         master = Master(self, self._node.resolve_topic_name(topic), callback)
         self._inputs.append(master)
         key = (topic, message_type, qos.depth, qos.reliability, qos.durability)
@@ -348,7 +348,7 @@ class Masters:
         self._inputs.clear()
 
     def begin(self) -> None:
-        """Start to monitor whether this process is halted: it then receives nothing, which is not silence."""
+        """Start to monitor whether this process is halted, because a halted process cannot detect silence."""
         self._since = self._looked = time.monotonic()
         if self._inputs:
             self._node.timer(LOOK, self.look)
@@ -388,7 +388,7 @@ class Masters:
         return any(bytes(endpoint.endpoint_gid) == identity for endpoint in found)
 
     def full_name(self, topic: str, identity: bytes) -> str:
-        """Return the full name of the node of a publisher; empty while the graph does not know it."""
+        """Return the full name of the node of a publisher; empty while it is unknown."""
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if bytes(endpoint.endpoint_gid) == identity}
         return next((name for name in names if is_name(name)), "")
@@ -411,7 +411,7 @@ class Masters:
         )
 
     def replaced(self, master: Master) -> None:
-        """Inform the runner that another process of a node publishes an input, unless the user has allowed it."""
+        """Tell the runner that another process of the same node publishes an input, unless the user has allowed it."""
         if not master.released:
             self._node.runner.replaced(master.topic, master.name)
 

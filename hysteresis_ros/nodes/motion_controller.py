@@ -58,7 +58,7 @@ class Shortfall:
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare an achieved command [m] with the nearest of the last commands, because it may arrive late."""
+        """Compare an achieved command [m] with the nearest of the last commands, because the former may arrive late."""
         self._largest = max(self._largest, abs(applied))
         allowed = max(FRACTION * self._largest, SMALLEST)
         if abs(self._sent[-1] - applied) <= allowed:
@@ -181,7 +181,7 @@ class MotionControllerNode(Responder):
         self._connect_part()
         self.compile()
         if parameters.time_mode == "realtime":
-            self.part.prepare()  # otherwise a change of the controller would stop the loop for its compilation
+            self.part.prepare()  # otherwise a change of the controller would stop the loop for a compilation
         self._clear()
 
     def _connect_part(self) -> None:
@@ -193,7 +193,7 @@ class MotionControllerNode(Responder):
         self._mode = RUNNING
 
     def step(self) -> None:
-        """Run the controller of the loop on the row."""
+        """Compute the sample in the row with the controller of the loop."""
         _CONTROL(self._laws, self._arrays, self.row)
 
     def connect(self) -> None:
@@ -215,7 +215,7 @@ class MotionControllerNode(Responder):
             self._state_of_controller.tell(stamp)
 
     def begin(self) -> None:
-        """In real time continue from the present state of the axis."""
+        """In real time, continue from the present state of the axis."""
         if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
 
@@ -288,7 +288,7 @@ class MotionControllerNode(Responder):
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return whether the last sample still lacks its achieved command; if so, a change precedes that command."""
+        """Return fields that mark a change that precedes the achieved command of the last sample."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -325,7 +325,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Also write the measured force into the row, because some damping laws require it; NaN if none is measured."""
+        """Also write the measured force into the row, which some damping laws require; NaN if no force is measured."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name

@@ -10,7 +10,7 @@
 """Interface of a node to its users: parameters from the tables of the blocks, and services that explain refusals.
 
 A value of the command line (``-p``) overrides parameter files; rcl does not do this for sections with wildcards. A file
-named over the graph must be in a folder that the user of the node has allowed. No request stops the node.
+name that is set over the graph must be in a folder that the user of the node has allowed. No request stops the node.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FLAGS = ("-p", "--param")
 
 
 def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
-    """Return the values of ``-p [NODE:]NAME:=VALUE`` for a node; of several values of a name the last one counts."""
+    """Return the values of ``-p [NODE:]NAME:=VALUE`` for a node; the last value of a name takes precedence."""
     values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
     for word in words:
         if word in (BEGIN, END):
@@ -98,7 +98,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
     try:
         path = pathlib.Path(value).expanduser().resolve()
-        if any(part.is_symlink() for part in (path, *path.parents)):  # from Python 3.13 on resolve() returns a loop
+        if any(part.is_symlink() for part in (path, *path.parents)):  # since 3.13 a loop raises no error
             raise OSError("a loop of symbolic links")
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, or a null byte
@@ -311,7 +311,7 @@ class ParameterInterface:
         return full
 
     def with_values(self, listed: ListParametersResult) -> ListParametersResult:
-        """Return a list of parameters without those that have no value, because a file cannot express this."""
+        """Remove parameters without a value from a list, because a file cannot express a missing value."""
         listed.names = [name for name in listed.names if self._is_set(name)]
         return listed
 

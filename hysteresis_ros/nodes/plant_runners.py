@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: an interruptible wait becomes a sleep, which is more accurate, this time before its end [s].
+#: Real time: remaining time [s] from which a wait becomes a sleep, which is more accurate but not interruptible.
 EXACT_WAIT = 0.02
 
 #: Interval at which a device is kept alive between samples [s].
@@ -50,8 +50,8 @@ READERS = 3
 #: Delay [periods] above which the schedule is shifted; a smaller delay is caught up.
 FAR_BEHIND = 10.0
 
-#: No voltage counts as pending after this time without a voltage: the longer of a time [s] and a number of periods. The
-#: third value is the maximum wait, as a multiple of that time.
+#: Time without a voltage after which no voltage is pending: the longer of a time [s] and a number of periods. The third
+#: value is the maximum wait, as a multiple of that time.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Nodes whose absence opens the loop.
@@ -194,7 +194,7 @@ class LockstepPlant(Lockstep):
 
 
 def remedy_for_late_voltages(device: bool, alone: bool) -> str:
-    """Return a remedy for late voltages of a device or a simulation; ``alone``: its node is alone in its process."""
+    """Return a remedy for late voltages of a device or simulation; ``alone``: the plant's process has no other node."""
     remedies = ["lower sample_rate" if device else "lower sample_rate or real_time_factor"]
     remedies += ["run the nodes composed"] if alone else []
     remedies += ["run the axis fused" if device else "run in lockstep"]
@@ -259,8 +259,8 @@ class RealTimePlant(RealTime):
                 self._lost[reporter] = name
             else:
                 self._lost.pop(reporter, None)
-            # the message may be a repetition for a plant that was restarted after its loss and may have missed the
-            # first one
+            # the message may be repeated for a plant that was restarted after its loss and may have missed the first
+            # message
             if state == LOST or (partner == PLANT and not node.part.tripped):
                 with node.lock:
                     node.lose(name)
@@ -271,7 +271,7 @@ class RealTimePlant(RealTime):
         self._lost = {}
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when all are there."""
+        """Return the lost nodes without which the axis cannot continue; empty when all are present."""
         now = self._awake_time.at(time.monotonic())
         stopped = self.node.inputs if self.node.part.silent else ()
         silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}
@@ -380,7 +380,7 @@ class RealTimePlant(RealTime):
             self._start()  # the thread has ended with the last run
 
     def hold(self, held: bool) -> None:
-        """Pause or resume the time of the axis; inform the other nodes, which would else count the plant as lost."""
+        """Pause or resume the time of the axis; inform the other nodes, so that they do not count the plant as lost."""
         self._excuse(held)
         if not held:
             with self.node.lock:
@@ -411,12 +411,12 @@ class RealTimePlant(RealTime):
         self._acknowledged = message.data
 
     def missing_voltage(self) -> str:
-        """Return '': in real time no partner is awaited."""
+        """Return an empty text, because in real time no partner is awaited."""
         return ""
 
     @property
     def is_quiet(self) -> bool:
-        """Whether all voltages have been received."""
+        """Whether no voltage has arrived for ``QUIET``, so that none is pending."""
         return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
 
     @property
@@ -501,7 +501,7 @@ class RealTimePlant(RealTime):
             self.node.part.forgive()
 
     def go_to_next(self, before: bool, behind: bool) -> None:
-        """Handle a stop of the axis in this sample (not one ``before``); shift a schedule that is ``behind``."""
+        """Handle a stop of the axis in this sample (not ``before`` it); shift a schedule that is ``behind``."""
         node = self.node
         late = node.part.tripped and not before and not node.part.failure
         if late and self._is_open:

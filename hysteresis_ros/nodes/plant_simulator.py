@@ -74,7 +74,7 @@ class Stamps:
         self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
         self._factor = parameters.real_time_factor
         self._start = 0
-        #: Time at which the stamps began [ns]; 0: not yet.
+        #: Time at which the stamps began [ns]; 0: they have not begun.
         self._origin = 0
         #: Stamp of the last published sample [ns].
         self.last = 0
@@ -110,7 +110,7 @@ class Stamps:
 
     @property
     def are_off_clock(self) -> bool:
-        """Return whether the stamps deviate from the wall clock because it was set; False for an unreadable clock."""
+        """Whether the stamps deviate from the wall clock because the clock was set; False for an unreadable clock."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
 
@@ -345,7 +345,7 @@ class PlantSimulatorNode(AxisNode):
     # -- the part of the loop ------------------------------------------------------------------------------------
 
     def sense(self) -> None:
-        """Measure the present sample into the row."""
+        """Write the measurements of the present sample into the row."""
         self.row[signals.TRIGGER_IN] = 0.0
         _SENSE(self._laws, self.part.arrays, self.row)
 
@@ -519,12 +519,12 @@ class PlantSimulatorNode(AxisNode):
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
 
     def finish_sample(self) -> None:
-        """Hold the received voltages, NaN for missing ones, and advance to the next sample."""
+        """Hold the received voltages, with NaN for missing ones, and advance to the next sample."""
         self.hold_voltages()
         self.close_sample()
 
     def hold_voltages(self) -> None:
-        """Hold the received voltages, NaN for missing ones."""
+        """Hold the received voltages, with NaN for missing ones."""
         for input_ in self.inputs:
             self.row[input_.signal] = input_.value
             input_.value = math.nan
@@ -578,8 +578,7 @@ class PlantSimulatorNode(AxisNode):
         return self.runner.late_samples
 
     def _limited_counts(self) -> dict[str, int]:
-        """Return the number of samples with a limited output, by cause; the three amplifiers of a motor count
-        together."""
+        """Return the number of samples with a limited output, by cause; the amplifiers of a motor are not included."""
         counts = {"safe_slew_rate": self.held_back}
         return counts if self.axis_kind.motor else counts | {AMPLIFIER: self.part.limited_samples}
 
@@ -640,7 +639,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def listens_at_exit(self) -> bool:
-        """Whether the node processes pending messages before it exits: in real time, voltages on the way to safe."""
+        """Whether the node processes pending messages before it exits: in real time, voltages toward the safe value."""
         return not self.runner.exact
 
     def drained(self) -> bool:
@@ -656,7 +655,7 @@ class PlantSimulatorNode(AxisNode):
             self._tell()
 
     def destroy_node(self) -> None:
-        """Leave the graph and release the device."""
+        """Remove the node from the graph and release the device."""
         self.unbuild()
         super().destroy_node()
 

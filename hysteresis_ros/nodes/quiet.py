@@ -56,7 +56,7 @@ class QuietHold:
     # -- the creep model, between nodes --------------------------------------------------------------------------
 
     def _on_change(self, message) -> None:
-        """Keep the parameters of the compensator."""
+        """Store the parameters of the compensator."""
         try:
             entry = json.loads(message.data)
             if entry["node"] != signals.COMPENSATOR or entry["action"] not in (signals.CONFIGURED, "retune"):
@@ -67,7 +67,7 @@ class QuietHold:
         self._take_model(entry["action"] == signals.CONFIGURED)
 
     def _take_model(self, anew: bool) -> None:
-        """Build the creep model at rest, as the compensator starts, or change its parameters (unless ``anew``)."""
+        """Build the creep model at rest, as the compensator starts; retune an existing one unless ``anew`` is set."""
         try:
             parameters = part(CompensatorNodeParameters.from_mapping(self._given), CompensatorParameters)
         except (ValueError, KeyError, TypeError, HysteresisError):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""When moves are ready, over ROS: the topics ``ready``, ``ready_in`` and ``~/moves``, and the service ``~/move``.
+"""Prediction and report of the end of moves: topics ``ready``, ``ready_in`` and ``~/moves``, service ``~/move``.
 
 The reference generator makes the predictions, with the parameters of controller and compensator that it reads from
 ``changes``. Predictions are computed in a thread; the loop does not wait for them.
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
 #: Time that the reference must rest before the noise is measured [s], and number of samples per evaluation.
 REST, BLOCK = 0.05, NoiseMeter.BLOCK
-#: The predictor learns at most from this number of measurements of a move.
+#: Maximum number of measurements of a move from which the predictor learns.
 MOST = 20_000
 #: Largest number of waiting jobs. If setpoints arrive faster than predictions are computed, some moves are not
 #: predicted.
@@ -52,12 +52,12 @@ WAITING = 8
 KINDS = {signals.CONTROLLER: ControllerNodeParameters, signals.COMPENSATOR: CompensatorNodeParameters}
 
 
-#: A job of the thread; it may return a function that the thread of the node then calls.
+#: A job of the prediction thread; it may return a function that the thread of the node then calls.
 Job = Callable[[], Callable[[], object] | None]
 
 
 class MoveToReady:
-    """A move in progress since its first sample or an earlier one; ``path``: points of its trajectory, if any."""
+    """A move, which begins with a sample from ``first`` on with its setpoint; ``path``: points of its trajectory."""
 
     def __init__(self, number: int, first: int, setpoint: float, readiness: Readiness, path: dict | None):
         self.number, self.first, self.setpoint, self.path = number, first, setpoint, path
@@ -69,7 +69,7 @@ class MoveToReady:
         self.begun = self.done = False
 
     def look(self, number: int, row, offset: float) -> bool:
-        """Add a sample with its number; return whether the axis is ready. ``offset`` is that of measurements [m]."""
+        """Add a sample; return whether the axis is ready. ``offset`` is the offset of the measurements [m]."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:
@@ -115,7 +115,7 @@ class Thread:
                 self._results.append(result)
 
     def take(self) -> None:
-        """Call the finished results, in the thread of the node."""
+        """Call the functions that finished jobs have returned, in the thread of the node."""
         while self._results:
             self._results.popleft()()
 
@@ -154,14 +154,14 @@ class ReadyTopics:
         self.offset = 0.0
         self._predictor: Predictor | None = None
         self._stale = True
-        #: Whether the axis has moved without the predictor.
+        #: Whether the axis has made a move that the predictor has not simulated.
         self._moved = True
         #: The last move that was predicted.
         self._foreseen: MoveToReady | None = None
         self._meter = NoiseMeter(REST, 1.0 / node.parameters.sample_rate)
         self._block: list[tuple[float, float]] = []
         self._number, self._first = 0, 0
-        #: Tolerance [m] and dwell time [s] of the request that is being carried out.
+        #: Tolerance [m] and dwell time [s] of the request that is being processed.
         self.asked: tuple[float, float] | None = None
         self.move: MoveToReady | None = None
         self._told: tuple[bool, float] | None = None
@@ -190,7 +190,7 @@ class ReadyTopics:
         self._moves.publish(String(data=json.dumps(plain)))
 
     def _on_change(self, message) -> None:
-        """Keep the parameters of controller and compensator."""
+        """Store the parameters of controller and compensator."""
         try:
             entry = json.loads(message.data)
             node, action, parameters = entry["node"], entry["action"], entry["parameters"]
@@ -215,7 +215,7 @@ class ReadyTopics:
         """Build the predictor from the present parameters, unless it exists."""
         if not self._stale or len(self._given) < len(KINDS):
             return
-        from hysteresis_ros.loop.ready import Predictor, model_of  # a node that predicts nothing needs no plants
+        from hysteresis_ros.loop.ready import Predictor, model_of  # a node without predictions needs no plant models
 
         self._stale = False
         node = self._node
@@ -252,7 +252,7 @@ class ReadyTopics:
 
     def _learn(self, move: MoveToReady, noise: Noise) -> None:
         if self._predictor is not None and move is self._foreseen and math.isfinite(move.predicted):
-            # skipped samples have moved the axis otherwise than the model
+            # in skipped samples the axis has moved differently from the model
             if not move.missing:
                 self._predictor.learn(move.measured, noise)
             self._predictor.follow(len(move.measured))
@@ -309,7 +309,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
-        """Take samples from number ``first`` on, shape (row length, N); while there is a move, each one separately."""
+        """Take samples from number ``first`` on, shape (row length, N); during a move, process each one separately."""
         self._thread.take()
         for number, row in enumerate(table.T.tolist() if self.move is not None else (), first):
             if self.move is not None:
@@ -371,7 +371,7 @@ class ReadyTopics:
         )
 
     def _refusal(self, given: dict[str, float]) -> str:
-        """Return why a request for a move is refused; empty when it is not."""
+        """Return why a request for a move is refused; empty if it is accepted."""
         node, noise = self._node, self.noise
         tolerance, dwell = given.get(TOLERANCE, node.parameters.ready.tolerance), given.get(DWELL, 0.0)
         waveform = node.parameters.waveform.type

@@ -17,11 +17,11 @@ again.
 
 A partner is *lost* when it has been silent for longer than the time-out of the node that needs it, and for more than a
 few samples, unless it has announced that it stops. Time in which the node's own process was halted does not count
-(:class:`AwakeTime`). The node then keeps its own part safe and informs the plant, which stops the axis. The stop is
-latched: the axis resumes when the partner is back and a person calls ``~/start``. This holds for the loss of any node
-and at any sample rate. A partner that has just started may be silent for longer, because on a busy machine its first
-messages have gaps. A partner that is replaced by another process without having announced that it stops always counts
-as lost.
+(:class:`AwakeTime`). When a partner is lost, the node keeps its own part safe and informs the plant, which stops the
+axis. The stop is latched: the axis resumes when the partner is back and a person calls ``~/start``. This holds for the
+loss of any node and at any sample rate. A partner that has just started may be silent for longer, because on a busy
+machine its first messages have gaps. A partner that is replaced by another process without having announced that it
+stops always counts as lost.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 
-#: Interval of the check of an input that may have stopped [s].
+#: Interval between checks for stopped inputs [s].
 WATCHDOG_PERIOD = 0.01
 
 #: Longest interval between two checks that counts in full as silence of a partner [s].
@@ -54,9 +54,8 @@ UNDER_WAY = 2
 #: Queue depth of the presence messages.
 PRESENCES = 20
 
-#: Number of messages after which a partner that has not reported its kind can be lost; allowed silence of a partner
-#: that has just begun, because the nodes of an axis are still starting [s]; and allowed silence of any partner
-#: [samples].
+#: Number of messages after which a partner that has not reported its kind can be lost; allowed silence [s] of a partner
+#: that has just begun, because the nodes of an axis are still starting; and allowed silence of any partner [samples].
 AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
 
 #: Reason for the loss of a partner that has been replaced.
@@ -74,13 +73,13 @@ GIVE_UP = 3
 #: If a message already waits at more than this number of consecutive measurements, the oldest message is dropped.
 SUSPICION = 50
 
-#: Maximum number of waiting measurements; if more wait, the oldest ones are answered.
+#: Number of waiting measurements from which the oldest one is answered without its missing inputs.
 BACKLOG = 2
 
-#: Checks of the inputs that may be missed before the process itself counts as halted or short of processor time.
+#: Number of missed checks of the inputs above which the process itself counts as halted or short of processor time.
 SUSPENDED = 10
 
-#: A message that arrives within this fraction of a period after the last one has waited in the queue.
+#: A message that arrives within this fraction of a period after the previous message has waited in the queue.
 WAITED = 0.5
 
 #: Maximum number of samples counted in one check of a stopped input.
@@ -126,7 +125,7 @@ class Follower:
         self._ahead = 0
 
     def take(self, data: float) -> None:
-        """Note a message."""
+        """Store a message."""
         self.last = data
         if not self.present:
             # the measurement of this message has already been answered; the next message is awaited
@@ -146,11 +145,11 @@ class Follower:
 
     @property
     def ready(self) -> bool:
-        """Return whether the oldest measurement need not wait for this input."""
+        """Whether the oldest measurement need not wait for this input."""
         return bool(self.waiting) or not self.present
 
     def give(self) -> float:
-        """Return the message of the oldest measurement, if it has arrived."""
+        """Return the message of the oldest measurement; if it is missing, the last message, or NaN if ``strict``."""
         if self.waiting:
             self._missed = 0
             return self.waiting.popleft()
@@ -191,7 +190,7 @@ class RealTime(Runner):
             )
 
     def make_pace(self) -> Pace:
-        """Return the statistics of the sample times; only the plant knows the desired rate."""
+        """Return the statistics of the sample times; only the plant has a rate to keep."""
         return Pace(self.period, keeps_time=hasattr(self.node.parameters, "real_time_factor"))
 
     def connect(self) -> None:
@@ -234,7 +233,7 @@ class RealTime(Runner):
         """Do nothing: the other nodes continue until their time-outs."""
 
     def replaced(self, topic: str, name: str) -> None:
-        """Do nothing when another process of a node publishes an input; runners that wait for it override this."""
+        """Do nothing when another process of a node publishes an input; runners that monitor inputs override this."""
 
     def matched(self) -> bool:
         """Return whether every publisher of the loop is matched with its partner."""
@@ -288,7 +287,7 @@ class RealTimeResponder(RealTime):
             self._coming.add(partner)
         if state == STARTED and partner == PLANT:
             self._going = UNDER_WAY
-            # a plant that stops and is started again within one sample sends no measurement that shows the stop
+            # a plant that stops and is started again within one sample sends no measurement that reports the stop
             self._has_tripped = bool(self.latched)
         if state in (HERE, LOST, HEARD):
             self._known.add(partner if state == HERE else reporter)
@@ -347,7 +346,7 @@ class RealTimeResponder(RealTime):
         return self._backlog > 0
 
     def measurement(self, message) -> None:
-        """Take ``joint_states``."""
+        """Receive ``joint_states``."""
         node = self.node
         if node.active:
             self._note_measurement()
@@ -381,7 +380,7 @@ class RealTimeResponder(RealTime):
             self.node.get_logger().info(f"{self.node.trigger} is back")
 
     def value(self, place: int, data: float) -> None:
-        """Take a message of the input with this index."""
+        """Receive a message of the input with this index."""
         node = self.node
         input_ = node.inputs[place]
         if input_.previous:
@@ -537,7 +536,7 @@ class RealTimeResponder(RealTime):
             self._has_tripped = True
         elif self.latched and self._has_tripped and self.unlatch():
             self._has_tripped = False
-            for partner, name in self._lost.items():  # the plant was reset, and no longer knows of the loss
+            for partner, name in self._lost.items():  # the reset of the plant has cleared the loss there
                 self.say_of(LOST, partner, name)
 
     @property
@@ -546,11 +545,11 @@ class RealTimeResponder(RealTime):
         return self._going > 0
 
     def missing_partners(self) -> str:
-        """Return the names of the lost nodes; empty when all are there."""
+        """Return the names of the lost nodes; empty when all are present."""
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
-        """Resume the part after the loss of a partner; return the reason if it cannot resume, otherwise ''."""
+        """Resume the part after the loss of a partner; return why it cannot resume, or an empty text if it can."""
         if not self.latched:
             return ""
         if self._lost:

@@ -50,7 +50,7 @@ STRIDE = 16
 #: Time that a real-time recording waits for the publishers of an axis before it releases the plant anyway [s].
 PATIENCE_AT_START = 20.0
 
-#: Silence after the end mark that ends a real-time recording [s].
+#: Duration of silence after the end mark after which a real-time recording ends [s].
 SILENCE = 0.3
 
 
@@ -188,7 +188,7 @@ class RecorderNode(AxisNode):
         self._last_arrival = time.monotonic()
 
     def connect(self) -> None:
-        """Subscribe to everything, as raw CDR."""
+        """Subscribe to all recorded topics, as raw CDR."""
         qos = self.qos()
         self._sampled: list[str] = []
         durability = "transient_local" if self.runner.exact else "volatile"
@@ -220,7 +220,7 @@ class RecorderNode(AxisNode):
         self._announce = self.publisher(String, "configuration", latched_qos())
 
     def begin(self) -> None:
-        """Write the configuration first, then tell the plant that it may begin."""
+        """Write the configuration first, then allow the plant to begin."""
         bag = self._unfinished
         if self._configuration:
             self._announce.publish(String(data=self._configuration))
@@ -280,7 +280,7 @@ class RecorderNode(AxisNode):
                 self._ended.add(entry.get("node"))
 
     def _lacking_changes(self) -> set[str]:
-        """Return the nodes whose change log has not ended; after the time-out for lost messages return none."""
+        """Return the nodes whose change log has not ended; return an empty set after the time-out for lost messages."""
         waited = time.monotonic() - self._last_arrival
         if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
             return set()
@@ -298,7 +298,7 @@ class RecorderNode(AxisNode):
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
-    # -- samples that a loop in this process makes ---------------------------------------------------------------
+    # -- samples of a loop in this process -----------------------------------------------------------------------
 
     def record_loop(self, fused) -> None:
         """From a loop's next sample on, read all samples from its ring instead of messages."""
@@ -414,7 +414,7 @@ class RecorderNode(AxisNode):
         return self.recording is not None and bool(self.recording.stopped)
 
     def release(self) -> None:
-        """Finish the bag: index and metadata."""
+        """Finish the bag with its index and metadata."""
         if self.recording is None:
             return
         if self.bag is not None:

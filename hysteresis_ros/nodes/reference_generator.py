@@ -85,7 +85,7 @@ class Beginning:
             )
 
     def take(self, message) -> bool:
-        """Return whether this measurement may be answered, which is so once the beginning is decided."""
+        """Return whether this measurement may be answered: only after the start of the reference is decided."""
         node = self._node
         if not self._known and node.active:
             now = time.monotonic()
@@ -99,24 +99,24 @@ class Beginning:
         return self._known
 
 
-#: Time-out for the beginning of a run of given length, and interval of the log messages about the waiting [s].
+#: Time-out for the beginning of a run of given length, and interval between log messages while the run waits [s].
 START_PATIENCE, START_REPORT = 30.0, 5.0
 
-#: Number of measurements between the completion of the loop and the first sample, in which the nodes learn to match
-#: answers to measurements.
+#: Number of measurements between the completion of the loop and the first sample, during which the nodes
+#: match answers to measurements.
 SETTLING_SAMPLES = Pairing.SUSPICION + 20
 
 #: Time between the last sample and the end of the run [s], because on a busy machine other nodes answer later than the
 #: source.
 END_GRACE = 0.5
 
-#: Number of measurements from whose stamps their rate is determined; allowed relative deviation of this rate from
+#: Number of stamps from which the rate of the measurements is determined; allowed relative deviation of this rate from
 #: ``sample_rate``.
 RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
 
 
 class ExternalRun:
-    """Beginning and end of a run."""
+    """Begins and ends a run with an external plant."""
 
     def __init__(self, node):
         self._node = node
@@ -139,12 +139,12 @@ class ExternalRun:
         self._answered = True
 
     def begin(self) -> None:
-        """Start to wait."""
+        """Start to wait for the partners."""
         self._since = time.monotonic()
         self._node.timer(0.5, self._look)
 
     def _absent(self) -> str:
-        """Return the reason why the run waits; '' if it does not wait."""
+        """Return the missing partners for which the run waits; empty if it does not wait."""
         node = self._node
         partners = {
             "motion_controller": node.count_publishers(self._command),
@@ -160,7 +160,7 @@ class ExternalRun:
         return ", ".join(name for name, there in partners.items() if not there)
 
     def take(self, message) -> bool:
-        """Take a measurement; return whether it belongs to the run."""
+        """Receive a measurement; return whether it belongs to the run."""
         node = self._node
         if node.finished or node.failure:
             return False
@@ -169,7 +169,7 @@ class ExternalRun:
             self._begun = self._settled > SETTLING_SAMPLES
             return self._begun
         if not node.sample:
-            self._further = 0  # after a reset too
+            self._further = 0  # also after a reset
         self._note(message.header.stamp)
         samples = node.parameters.samples
         if not samples or node.sample < samples:
@@ -183,7 +183,7 @@ class ExternalRun:
         return False
 
     def _note(self, stamp) -> None:
-        """Check once the rate of the measurements."""
+        """Check the rate of the measurements once."""
         if self._noted:
             return
         self._stamps.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
@@ -243,7 +243,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.compile()
 
     def step(self) -> None:
-        """Run the reference source of the loop on the row."""
+        """Compute the sample in the row with the reference source of the loop."""
         _REFER(self._laws, self._arrays, self.row)
 
     def after_step(self) -> None:
@@ -265,7 +265,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._connect_part()
 
     def retuned(self, parameters) -> None:
-        """Let the clock of the scan follow the new waveform, and offer triggers."""
+        """Let the clock of the scan follow the new waveform, and create the topic of the triggers if needed."""
         super().retuned(parameters)
         self.offer_triggers(parameters)
         if parameters.waveform != self.parameters.waveform:
@@ -275,13 +275,13 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.follow_scan(parameters.waveform)
 
     def warn_of_slope(self, parameters) -> None:
-        """Warn of a waveform that the slew rate of the voltage limits; only a fused axis knows its other nodes here."""
+        """Warn of a waveform that the slew rate of the voltage limits; needs a fused axis, to read its other nodes."""
         axis = replace(self.fused.present_parameters(), reference_generator=parameters)
         if found := steep_warnings(axis):
             self.warn("steep", "; ".join(found))
 
     def follow_scan(self, waveform) -> None:
-        """Let the clock follow the scan of a waveform; without a scan the clock is silent."""
+        """Let the clock follow the scan of a waveform; without a scan the clock publishes nothing."""
         scans = waveform.type == "scan" and waveform.scan.clock != "none"
         if scans and self.scan_clock is None:
             self.scan_clock = self.make_scan_clock()
@@ -298,7 +298,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.scan_clock.take(nanoseconds(stamp), self.row[signals.WAVEFORM_SAMPLE], self.scan_axis)
         super().report(stamp)
 
-    #: Place of this axis among those that follow the same scan.
+    #: Index of this axis among the axes that follow the same scan.
     scan_axis = 0
 
     def _connect_part(self) -> None:
@@ -354,7 +354,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.trajectories = self.action = self.scan_clock = self.ready = None
 
     def forget_settled(self) -> None:
-        """Restart the settling detection, because an axis that is not measured is not ready."""
+        """Restart the settling detection, because an axis without measurements is not ready."""
         self.settling.restart()
         if self.ready is not None:
             self.ready.fall_silent()
@@ -414,7 +414,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return self.part is not None and self.part.generator.unasked
 
     def on_running(self, running: bool) -> None:
-        """``~/stop`` holds the reference, ``~/start`` runs the waveform from its beginning."""
+        """Hold the reference (``~/stop``), or run the waveform from its beginning (``~/start``)."""
         if running and self.unasked:
             self.setpoint = self.parameters.initial_setpoint
         super().on_running(running)
@@ -445,7 +445,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     def health(self):
         """Report refused setpoints and the present values."""
-        # in real time a reference generator without measurements has nothing to answer
+        # in real time, a long time since the last answered sample means that measurements are missing
         stale = not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate)
         values = {"setpoint_m": f"{self.setpoint:.9g}", "setpoints_refused": self.refused, "stale": stale}
         lost = 0

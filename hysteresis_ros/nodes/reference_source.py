@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Base of the reference sources: they take setpoints and requests, and report why one is refused."""
+"""Base of the reference sources: they take setpoints and requests, and report why a request is refused."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ class ReferenceSource(Responder):
     parameters: SourceParameters
     #: Number of refusals so far.
     refused = 0
-    #: Setpoint in force [m].
+    #: Present setpoint [m].
     setpoint = 0.0
-    #: Last published value of ``~/settled``; None: the node has no topics, so there is no value to withdraw.
+    #: Last published value of ``settled``; None: no value is published yet. False without topics: none to withdraw.
     _told: bool | None = False
     #: Topic of the triggers; None: the axis makes no triggers.
     trigger_out: TriggerTopic | None = None
@@ -80,7 +80,7 @@ class ReferenceSource(Responder):
             self.subscriber(Empty, INPUT, self._on_pulse, setpoint_qos())
 
     def begin(self) -> None:
-        """Start the check for missing samples, because an axis that is not measured has not settled."""
+        """Start the check for missing samples, because an axis without measurements has not settled."""
         self.timer(LOOK, self._look_for_samples)
 
     def _look_for_samples(self) -> None:
@@ -121,7 +121,7 @@ class ReferenceSource(Responder):
             topic.record = lambda stamp, values: recorder.write_message(topic.name, stamp, names, values)
 
     def note_pulses(self) -> None:
-        """Adopt the effects of pulses of the trigger input, given the row of the last sample."""
+        """Update the node after pulses of the trigger input, from the row of the last sample."""
 
     def _on_pulse(self, message) -> None:
         if not self.active:
@@ -136,7 +136,7 @@ class ReferenceSource(Responder):
         self.row[signals.TRIGGER_IN], self.pulses = float(self.pulses), 0
 
     def after_step(self) -> None:
-        """Adopt the effects of pulses of the trigger input."""
+        """Update the node after pulses of the trigger input."""
         if self.row[signals.TRIGGER_IN] > 0.0:
             self.note_pulses()
 
@@ -164,7 +164,7 @@ class ReferenceSource(Responder):
             self._settled.publish(Bool(data=settled))
 
     def release(self) -> None:
-        """Stop the settling detection."""
+        """Publish that the axis has not settled."""
         if self.parameters is not None:
             self.tell_settled(False)
 

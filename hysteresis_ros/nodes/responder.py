@@ -37,7 +37,7 @@ class Input:
     topic: str
     signal: int  #: Index in the row.
     partner: str  #: Node that publishes the topic.
-    previous: bool = False  #: Whether a message belongs to the previous sample, as that of the achieved command does.
+    previous: bool = False  #: Whether a message belongs to the previous sample, as an achieved command does.
     #: Whether, in real time, a late message counts as missing; otherwise the last message replaces it.
     strict: bool = False
 
@@ -45,7 +45,7 @@ class Input:
 class Responder(AxisNode):
     """A node that computes its part of the loop in each sample.
 
-    Subclasses set :attr:`part`, and run their kernel of the loop on the row in :meth:`step`.
+    Subclasses set :attr:`part`, and apply their kernel of the loop to the row in :meth:`step`.
     """
 
     #: Name of the input that triggers an answer in real time.
@@ -69,7 +69,7 @@ class Responder(AxisNode):
     # -- the part of the loop ------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Run this node's part of the loop on the row."""
+        """Compute this node's part of the loop for the sample in the row."""
         raise TypeError(f"{type(self).__name__} must implement its part of the loop")
 
     def reset_blocks(self) -> None:
@@ -97,7 +97,7 @@ class Responder(AxisNode):
 
     def hindrance(self) -> str:
         """Return why this node does not run although the user has not stopped it; empty when it runs."""
-        # a fused loop has advanced since its last sample was shown
+        # a fused loop has advanced since its last sample was published
         row = self.fused.latest()[1] if self.is_fused else self.row
         tripped = abs(row[signals.TRIPPED]) > 0.0 and not self.runner.goes_on
         stopped = "the plant has stopped the axis: call ~/start of plant_simulator to resume" if tripped else ""
@@ -149,7 +149,7 @@ class Responder(AxisNode):
         return self.runner.measurement
 
     def read(self, message, row) -> bool:
-        """Put the measurement of the joint, or NaN, into a row; return False if the message breaks the run."""
+        """Put the measurement of the joint, or NaN, into a row; return False if the message ends the run."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index
         self.read_trip(message, row)
         row[signals.MEASURED] = math.nan
@@ -177,7 +177,7 @@ class Responder(AxisNode):
 
     @property
     def loss(self) -> str:
-        """Return the lost partner that keeps this part safe; empty when no partner is lost."""
+        """Message about the lost partner because of which this part is safe; empty when no partner is lost."""
         name = self.runner.latched
         return f"{name} is lost: when it is back, call ~/start of plant_simulator to resume" if name else ""
 
@@ -210,7 +210,7 @@ class Responder(AxisNode):
         """Put the user's requests into the row."""
 
     def after_step(self) -> None:
-        """Handle what the part has computed."""
+        """Handle the results of the part."""
 
     def answer(self, stamp) -> None:
         """Answer the sample in the row."""
@@ -249,7 +249,7 @@ class Responder(AxisNode):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the input of the part has been missing or unusable for the time-out."""
+        """Whether the input of the part has been missing or unusable for longer than the time-out."""
         return False
 
     def say_silent(self) -> None:
@@ -268,4 +268,4 @@ class Responder(AxisNode):
         self.publish_outputs()
 
     def after_missing(self) -> None:
-        """Handle what the part has computed in a sample without a trigger."""
+        """Handle the results of the part in a sample without a trigger."""

@@ -30,9 +30,9 @@ from hysteresis_ros.errors import HysteresisError
 
 #: Name of the topic, below the plant.
 TOPIC = "samples"
-#: Interval between two blocks [s]: thirty a second, the redraw rate of a page.
+#: Interval between two blocks [s], for 30 blocks per second, the redraw rate of a page.
 PERIOD = 1.0 / 30.0
-#: Blocks queued for a slow subscriber: two seconds.
+#: Number of blocks queued for a slow subscriber, which last two seconds.
 DEPTH = 60
 #: Maximum number of samples of a block: the ring size of the fastest axis.
 MOST = 1_000_000
@@ -50,7 +50,7 @@ class Block(NamedTuple):
     stamps: np.ndarray  #: shape (N,) [ns since 1970], int64.
     numbers: np.ndarray  #: shape (N,); Numbers of the samples, int64.
     table: np.ndarray  #: shape (signals, N); A row for each signal (:class:`hysteresis_ros.signals.AxisKind`).
-    #: shape (3 × joints, N); Of a motor: positions [m], velocities [m/s], efforts [N] of its joints.
+    #: shape (3 × joints, N); For a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
     joints: np.ndarray | None
 
 
@@ -150,7 +150,7 @@ class FramePublisher:
         self._publisher.publish(message)
 
     def get_subscription_count(self) -> int:
-        """Return the number of subscribers of the measurement made from the frames; 0 if no node reads the frames."""
+        """Return the number of subscribers of the measurement from the frames; 0 if no node reads the frames."""
         node = self._node
         seen = self._publisher.get_subscription_count()
         return node.count_subscribers(node.resolve_topic_name("joint_states")) if seen else 0

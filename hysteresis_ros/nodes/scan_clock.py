@@ -29,7 +29,7 @@ from hysteresis_ros.signals import WAVEFORM_SAMPLE
 
 #: Name of the topic, in the namespace of the axis or of the stage, and its queue depth.
 TOPIC, KEPT = "scan_clock", 1000
-#: Contents of ``position``: numbers of the frame, line and pixel that begin (-1: none of this kind), direction (1:
+#: Contents of ``position``: numbers of the frame, line and pixel that begin (-1: none begins), direction (1:
 #: trace, -1: retrace, 0: a frame), and the time from the exact beginning to the stamp [s].
 NAMES = ("frame", "line", "pixel", "direction", "delay")
 #: Number of samples for which the answers of other axes are awaited.
@@ -37,10 +37,10 @@ AWAITED = 100
 
 
 class ScanClockTopic:
-    """Publishes the clock of a scan that one axis follows, or several axes of a stage with one clock.
+    """Publishes the clock of a scan that one axis follows, or that several axes of a stage follow together.
 
-    A sample in which the axes are not at the same sample of their waveforms gives no message, because the path of the
-    axes is then not the scan.
+    A sample in which the axes are not at the same sample of their waveforms gives no message, because the axes
+    then do not follow the path of the scan.
     """
 
     def __init__(self, node, topic: str, axes: int = 1):
@@ -48,7 +48,7 @@ class ScanClockTopic:
         self._publisher = node.publisher(JointState, topic, loop_qos(node.runner.keeps, KEPT))
         self.name = self._publisher.topic_name
         self._message = JointState(name=list(NAMES))
-        #: Additionally receives stamp [ns] and contents of each message, for a recorder that reads no messages.
+        #: Function that also receives stamp [ns] and contents of each message, for a recorder that reads no messages.
         self.record: Callable[[int, list[float]], object] = lambda stamp, values: None
         self._waiting: dict[int, dict[int, float]] = {}
         self._tables: dict[int, tuple[int, np.ndarray]] = {}
@@ -82,9 +82,9 @@ class ScanClockTopic:
         self._last, self._due = k, self._clock.next_after(k)
 
     def take_all(self, first: int, table: np.ndarray, stamps, axis: int = 0) -> None:
-        """Take consecutive samples of one axis from number ``first`` on, shape (row length, N), of a fused loop.
+        """Take consecutive samples of one axis of a fused loop from number ``first`` on, shape (row length, N).
 
-        ``stamps`` returns the stamps [ns] of numbers of samples.
+        ``stamps`` is a function that returns the stamps [ns] of given sample numbers.
         """
         self._tables[axis] = first, table[WAVEFORM_SAMPLE]
         if len(self._tables) < self._axes:

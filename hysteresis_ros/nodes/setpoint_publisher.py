@@ -48,7 +48,7 @@ class SetpointPublisher(GuardedServices):
 
     @property
     def heard(self) -> bool:
-        """Return whether all subscribers have been matched for a while: their side may match later than this one."""
+        """Whether all subscribers have been matched for a while; a subscriber may match later than this publisher."""
         matched, known = self._setpoint.get_subscription_count(), self.count_subscribers("setpoint")
         if matched == 0 or matched < known or matched != self._matched:
             # a recorder may be present before the generator

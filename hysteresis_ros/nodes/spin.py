@@ -69,9 +69,8 @@ def refused(error: HysteresisError) -> int:
 #: Interval of the check for signals and finished nodes while no message arrives [s].
 LOOK = 0.05
 
-#: Time for messages to be acknowledged at the end of a run, whether it ends regularly or by a signal or an error [s].
-#: An acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay every
-#: exit.
+#: Time for messages to be acknowledged at the regular end of a run, and at its end by a signal or an error [s]. An
+#: acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay exits.
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
@@ -86,7 +85,7 @@ QUIET = 0.1
 
 
 def make_executor():
-    """Return rclpy's EventsExecutor (a tenth of the cost of the default executor), or the default one if missing."""
+    """Return rclpy's EventsExecutor (a tenth of the default executor's cost) if it exists, or the default executor."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -199,7 +198,7 @@ def _collect() -> None:
 
 
 def _over(nodes) -> bool:
-    """Return whether a node has failed or all have finished; no generators, because of seven calls per sample."""
+    """Return whether a node has failed or all have finished; called seven times per sample, so without generators."""
     finished = True
     for node in nodes:
         # a node that a user has configured with wrong parameters waits for other parameters

@@ -6,17 +6,17 @@
 # Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
-"""Executable ``hysteresis_stage``: for all axes of a stage, the nodes of one kind or of all kinds, in one process.
+"""Executable ``hysteresis_stage``: runs the nodes of one kind or of all kinds, for all axes, in one process.
 
 Each axis has four nodes in its own namespace, with the same topics, services and parameters as a single axis. The nodes
 of one kind of all axes share a process. In this process the structure couples the plants, and the decoupling couples
-the compensators; references and controllers are those of a single axis. ``hysteresis_stage KIND`` runs the nodes of one
-kind; without a kind it runs all of them, and with ``--recorder`` also the recorders. The parameter file of the stage
-follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all nodes are in
-this process.
+the compensators; references and controllers are the same as for a single axis. ``hysteresis_stage KIND`` runs the
+nodes of one kind; without a kind it runs all of them, and with ``--recorder`` also the recorders. The parameter file of
+the stage follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all
+nodes are in this process.
 
 On a stage, all axes stop when the plant of one axis trips, and all controllers are safe while the measurement of one
-axis is stale. This module applies the rule to nodes; :func:`hysteresis_ros.loop.stage.stage_ticks` applies it in the
+axis is stale. This module applies this rule to nodes; :func:`hysteresis_ros.loop.stage.stage_ticks` applies it in the
 compiled loop.
 """
 
@@ -138,7 +138,7 @@ class StagePlants(Group):
         self._publisher.publish(whole)
 
     def connect(self, node) -> None:
-        """Create the topic of all joints in the first of the plants."""
+        """Create the topic of all joints in the first plant."""
         if node is self.nodes[0]:
             topic = f"{self.parameters.namespace}/joint_states"
             self._publisher = node.publisher(JointState, topic, node.qos())
@@ -178,7 +178,7 @@ class LockstepStagePlant(LockstepPlant):
             self.advance()
 
     def missing_voltage(self) -> str:
-        """Return this axis' partner whose input for the present sample is missing; other plants report their own."""
+        """Return this axis' partner whose input for the present sample is missing; other plants report theirs."""
         return "" if self.is_answered else super().missing_voltage()
 
 
@@ -268,7 +268,7 @@ class StagePlantNode(PlantSimulatorNode):
         return self.group.coupling.plant(self.place, parameters)
 
     def connect(self) -> None:
-        """Create the topics of the axis, and once the topics of the stage."""
+        """Create the topics of the axis; the first plant also creates the topic of the stage."""
         super().connect()
         self.group.connect(self)
 
@@ -343,7 +343,7 @@ class StageCompensators(Group):
             node.close_answer()
 
     def note_achieved(self, nodes) -> None:
-        """Put the achieved commands of the degrees of freedom into the rows; only ``nodes`` have new ones."""
+        """Put the achieved commands of the degrees of freedom into the rows; only ``nodes`` have new values."""
         for node in nodes:
             self.achieved[node.place] = node.row[signals.APPLIED]
         self.rows[:, signals.APPLIED] = self.achieved
@@ -396,7 +396,7 @@ class RealTimeTogether(RealTimeResponder):
 
 
 class StageCompensatorNode(HysteresisCompensatorNode):
-    """The compensator of one axis of a stage with a decoupling; those of the other axes are in the same process."""
+    """The compensator of one axis of a stage with a decoupling; the other compensators are in the same process."""
 
     lockstep_runner = LockstepTogether
     real_time_runner = RealTimeTogether
@@ -428,7 +428,7 @@ class StageControllers(Group):
         arrays = self.coupling.arrays
         states = [(node.part.arrays.x.feedforward, node.part.arrays.watch_x.own) for node in self.nodes]
         calls = [1.0 if own[RETURNING] else fed[feeding.CALLS] for fed, own in states]
-        # in real time an axis may miss a sample; the others wait for it only once
+        # in real time an axis may miss a sample; the other axes wait for it only once
         if not self.nodes[0].runner.exact and min(calls) < 1.0 and max(calls) < 2.0:
             return
         for (fed, own), row in zip(states, self.rows, strict=True):
@@ -438,7 +438,7 @@ class StageControllers(Group):
             fed[feeding.GIVEN] = row[signals.TRIPPED]
 
     def close_sample(self) -> None:
-        """Exchange references, and look for stale measurements, once all controllers have answered a sample."""
+        """Exchange references and detect stale measurements after all controllers have answered a sample."""
         if not self.runners or (self.nodes[0].runner.exact and len({node.sample for node in self.nodes}) > 1):
             return
         # a fused loop exchanges the references itself
@@ -450,7 +450,7 @@ class StageControllers(Group):
 
 
 class StageControllerNode(MotionControllerNode):
-    """The controller of one axis of a stage; those of the other axes are in the same process."""
+    """The controller of one axis of a stage; the other controllers are in the same process."""
 
     def __init__(self, group: StageControllers, **options):
         self.group = group
@@ -478,7 +478,7 @@ class StageControllerNode(MotionControllerNode):
 class StageSources(Group):
     """The reference generators of a stage, which take setpoints of several axes for the same sample."""
 
-    #: Clock of the scan, which the axes that follow it have in common.
+    #: Clock of the scan, which is common to the axes that follow the scan.
     scan_clock: ScanClockTopic | None = None
     #: Action for trajectories of several joints; None without the package control_msgs.
     action: GroupAction | None = None
@@ -559,7 +559,7 @@ class StageSources(Group):
 
 
 class StageReferenceNode(ReferenceGeneratorNode):
-    """The reference generator of one axis of a stage; those of the other axes are in the same process."""
+    """The reference generator of one axis of a stage; the other generators are in the same process."""
 
     def __init__(self, group: StageSources, **options):
         self.group, self.place = group, len(group.nodes)
@@ -570,7 +570,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
         group.nodes.append(self)
 
     def connect(self) -> None:
-        """Create the topics of the axis; the first reference generator also creates those of the stage."""
+        """Create the topics of the axis; the first reference generator also creates the topics of the stage."""
         super().connect()
         if self is self.group.nodes[0]:
             topic = f"{self.group.parameters.namespace}/{SETPOINTS}"
@@ -582,7 +582,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
                 self.group.action = GroupAction(self.group, kind, f"{self.group.parameters.namespace}/{ACTION}")
 
     def unbuild(self) -> None:
-        """Remove the actions of the axis and, with the first of the nodes, of the stage."""
+        """Remove the action of the axis; the first reference generator also removes the action of the stage."""
         super().unbuild()
         if self.place == 0 and self.group.action is not None:
             self.group.action.server.destroy()
@@ -688,7 +688,7 @@ class StageRecorders(Group):
 
 
 class StageRecorderNode(RecorderNode):
-    """Records the topics of one axis of a stage; those of the other axes are in the same process and bag."""
+    """Records the topics of one axis of a stage; the other recorders use the same process and bag."""
 
     def __init__(self, group: StageRecorders, **options):
         self.group = group
@@ -697,14 +697,14 @@ class StageRecorderNode(RecorderNode):
         group.nodes.append(self)
 
     def open_bag(self, parameters):
-        """Return the bag of the stage, which the first of its recorders creates."""
+        """Return the bag of the stage, which the first recorder creates."""
         if self.group.recording is None or self.group.recording.bag is None:
             self.group.recording = super().open_bag(parameters)
         return self.group.recording
 
     @property
     def scan_clock(self) -> str:
-        """Topic of the clock of the scan of the stage, which the first of its recorders records."""
+        """Topic of the scan clock of the stage for the first recorder, which records it; empty for the others."""
         parameters = self.group.parameters
         return f"{parameters.namespace}/{SCAN_CLOCK}" if parameters.scan and self is self.group.nodes[0] else ""
 
@@ -714,7 +714,7 @@ class StageRecorderNode(RecorderNode):
         return tuple(axis.namespace for axis in self.group.parameters.axes)
 
     def begin(self) -> None:
-        """Write the configuration first, then tell the plant of the axis that it may begin."""
+        """Write the configuration first, then allow the plant of the axis to begin."""
         self.group.at_work.add(self)
         super().begin()
 

@@ -27,8 +27,8 @@ OVERRUN = 1.5
 STALE = 1.0
 
 
-#: Interval for counting a rate [s]; in a shorter one, messages that a busy machine delivers together would distort the
-#: rate.
+#: Interval for counting a rate [s]; over a shorter interval, messages that a busy machine delivers together would
+#: distort the rate.
 WINDOW = 1.0
 
 
@@ -123,8 +123,8 @@ class Pairing:
     arrive waits for the other. An answer precedes its measurement only by chance and only by a short time; a
     measurement may wait as long as a busy machine takes to answer. Two rules keep a loss from shifting all later pairs.
     First, an entry that waits too long is discarded, for instance the command of a watchdog, which answers no
-    measurement. Second, when several measurements wait at many answers in a row, the oldest of them was rejected and
-    never answered, so it is dropped. An answer that waits at every measurement is dropped as well, because answers
+    measurement. Second, when several measurements wait at many answers in a row, the oldest measurement was rejected
+    and never answered, so it is dropped. An answer that waits at every measurement is dropped as well, because answers
     follow their measurements.
     """
 
@@ -141,7 +141,7 @@ class Pairing:
         self._ahead = 0
 
     def begin(self) -> None:
-        """Assign the next answer to the last measurement, because earlier ones arrived while no node answered."""
+        """Assign the next answer to the last measurement, because the earlier ones arrived while no node answered."""
         self._answers.clear()
         while len(self._measurements) > 1:
             self._measurements.popleft()
@@ -174,9 +174,9 @@ class Pairing:
 
 #: Length of the reported interval [s].
 LATELY = 60.0
-#: Beginning of the text that reports limited time.
+#: Beginning of the text that reports how long the output was limited.
 LIMITED = "output limited for"
-#: Name of the voltage limits as a cause, in contrast to the return to a path.
+#: Name in reports for the voltage limits, in contrast to the slew rate of a return to the path.
 AMPLIFIER = "limits (range or slew rate)"
 
 
@@ -237,7 +237,7 @@ class Runner:
     by_message = True
     #: Inputs of the node that have stopped, by topic.
     absent: tuple[str, ...] = ()
-    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: none.
+    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty if there is none.
     latched = ""
     #: Whether the plant has announced that the axis resumes, but no measurement has confirmed this yet.
     goes_on = False
@@ -253,18 +253,18 @@ class Runner:
         return Pace(self.period)
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when all are there."""
+        """Return the lost nodes without which the axis cannot continue; empty when all are present."""
         return ""
 
     def follow_trip(self, tripped: bool) -> None:
         """Record whether the plant has stopped the axis."""
 
     def unlatch(self) -> str:
-        """Resume the part after the loss of a partner; return the reason if it cannot resume, otherwise ''."""
+        """Resume the part after the loss of a partner; return why it cannot resume, or an empty text if it can."""
         return ""
 
     def timeliness(self) -> dict:
-        """Return the diagnostics of how late samples begin, if known."""
+        """Return the diagnostics of the lateness of samples, if known."""
         return {}
 
     def go_safe(self) -> None:

@@ -37,7 +37,7 @@ from hysteresis_ros.references.trajectory import MOST_POINTS
 #: Interval of the check whether samples are missing during a move, and the time for which they may be missing [s].
 LOOK, SILENCE = 0.1, 1.0
 
-#: Topics of trajectories: one in the namespace of the axis, and the one to which tools of ros2_control send.
+#: Topics of trajectories: one in the namespace of the axis, and one to which tools of ros2_control send.
 TOPICS = ("joint_trajectory", "~/joint_trajectory")
 
 #: Fields that name joints.
@@ -65,7 +65,7 @@ def points_of(message, joint: str) -> Points:
 
 
 def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
-    """Return the points of each joint that a ``JointTrajectory`` names; these may be some of ``joints``."""
+    """Return the points of each joint that a ``JointTrajectory`` names, which may be a subset of ``joints``."""
     names = list(message.joint_names)
     if not names or len(set(names)) != len(names) or set(names) - set(joints):
         raise _refused("joint_names", names, f"allowed: one or more of {', '.join(joints)}, each once")
@@ -235,7 +235,7 @@ class Trajectories:
             self._end(move, told, Ending.STOPPED, text)
 
 
-#: Name of the action, beneath the namespace of the axis.
+#: Name of the action in the namespace of the axis.
 ACTION = "follow_joint_trajectory"
 #: Maximum rate of feedback [Hz].
 FEEDBACK = 20.0
@@ -357,7 +357,7 @@ class TrajectoryAction:
 
     @staticmethod
     def _tell_ready(feedback, node) -> None:
-        """Write times since the start into the feedback: until predicted ready (desired), and until now (actual)."""
+        """Write times since the start into the feedback: the predicted time of ready (desired) and now (actual)."""
         move = node.ready.move
         if move is not None and math.isfinite(move.predicted):
             elapsed = len(move.measured) / node.parameters.sample_rate
@@ -378,7 +378,7 @@ class GroupAction(TrajectoryAction):
 
     def __init__(self, group, kind, name: str):
         self._group = group
-        #: Callbacks of those joints of each goal that still move.
+        #: Callbacks of the joints that still move, by goal and joint.
         self._moving: dict[int, dict[str, Told]] = {}
         super().__init__(group.nodes[0], group.nodes[0].trajectories, kind, name)
 

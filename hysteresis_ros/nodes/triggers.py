@@ -22,7 +22,7 @@ from hysteresis_ros.nodes.qos import loop_qos
 
 #: Names of the topics: triggers of an axis, their queue depth, and pulses of its trigger input.
 TOPIC, KEPT, INPUT = "trigger_out", 1000, "trigger_in"
-#: Contents of ``position``: number of the trigger from 1, position of the axis [m], direction of motion (1: up, -1:
+#: Contents of ``position``: number of the trigger (from 1), position of the axis [m], direction of motion (1: up, -1:
 #: down), time from the trigger to the stamp [s], and number of triggers since the previous message that were lost
 #: because they followed each other too fast.
 NAMES = ("number", "position", "direction", "delay", "lost")
@@ -36,7 +36,7 @@ class TriggerTopic:
         self._publisher = node.publisher(JointState, TOPIC, loop_qos(node.runner.keeps, KEPT))
         self.name = self._publisher.topic_name
         self._message = JointState(name=list(NAMES))
-        #: Additionally receives stamp [ns] and contents of each message, for a recorder that reads no messages.
+        #: Function that also receives stamp [ns] and contents of each message, for a recorder that reads no messages.
         self.record: Callable[[int, list[float]], object] = lambda stamp, values: None
         self._last = 0.0
         #: Number of triggers so far that were lost because they followed each other too fast.
@@ -60,7 +60,7 @@ class TriggerTopic:
     def take_all(self, first: int, table: np.ndarray, stamps) -> None:
         """Take consecutive samples from number ``first`` on, shape (row length, N).
 
-        ``stamps`` returns the stamps [ns] of numbers of samples.
+        ``stamps`` is a function that returns the stamps [ns] of given sample numbers.
         """
         places = np.flatnonzero(table[signals.TRIGGER])
         for place, stamp in zip(places, stamps(first + places).tolist(), strict=True):

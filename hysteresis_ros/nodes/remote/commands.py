@@ -79,7 +79,7 @@ def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
 
 
 def _triggers(client: Client, full: str) -> list[str]:
-    """Return the services of a node without arguments, by their short names."""
+    """Return the short names of a node's services without arguments."""
     namespace, _, name = full.rpartition("/")
     found = client.node.get_service_names_and_types_by_node(name, namespace or "/")
     own = [(service.removeprefix(f"{full}/"), kinds) for service, kinds in found]
@@ -163,7 +163,7 @@ class AxisStatus:
 
 
 def survey(client: Client) -> list[AxisStatus]:
-    """Return the status of the running axes, of all namespaces or of the client's."""
+    """Return the status of the running axes in all namespaces, or in the client's namespace if it has one."""
     reports: dict[str, tuple] = {}
 
     def hear(message: DiagnosticArray) -> None:
@@ -204,7 +204,7 @@ def survey(client: Client) -> list[AxisStatus]:
 
 
 def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
-    """Return the nodes of each axis when all are present and no other one appears, or at the time-out."""
+    """Return the nodes of each axis when all are present and no other node appears, or at the time-out."""
     known: dict[str, list[str]] = {}
     since = time.monotonic()
 
@@ -320,7 +320,7 @@ def _lines(axis: AxisStatus):
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
-    """Print parameters of a node as YAML; without names all of them."""
+    """Print parameters of a node as YAML; without names, print all parameters."""
     full = client.find(node)
     known = _names(client, full)
     _refuse_unknown(full, names, known)
@@ -354,7 +354,7 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
     """Set parameters of a node: all of them, or none if one is refused."""
-    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # takes half a second, and no other command needs it
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # the import takes half a second
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
     rows = {row.name: row for row in table.table()} if table else {}
@@ -498,7 +498,7 @@ ANSWER = 5.0
 def setpoint(client: Client, value: float) -> None:
     """Send a setpoint [m] to the reference source, and print whether it was accepted.
 
-    The source replies, so a setpoint cannot be lost without notice; on a topic it can.
+    The source replies, so a setpoint cannot be lost without notice, in contrast to a setpoint on a topic.
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -583,7 +583,7 @@ def quiet(client: Client, duration: float, tolerance: float | None) -> None:
 
 
 def _source(client: Client) -> str:
-    """Return the node that takes the setpoints of an axis, by its name: the topic may have other subscribers."""
+    """Find the node that takes the setpoints of an axis by its name, because the topic may have other subscribers."""
     wanted = [client.full_name(name) for name in SOURCES]
 
     def there() -> list[str]:
@@ -603,7 +603,7 @@ def _source(client: Client) -> str:
 
 
 def _require_one_axis(client: Client) -> None:
-    """Refuse to wait for an axis without a namespace while other axes run, such as those of a stage."""
+    """Refuse to wait for an axis without a namespace while other axes run, such as the axes of a stage."""
     spaces = sorted({space for space, _, name in (one.rpartition("/") for one in client.nodes()) if name in SOURCES})
     if spaces:
         raise HysteresisError(f"no axis is chosen, and there are {', '.join(spaces)}: give --namespace {spaces[0]}")
@@ -634,7 +634,7 @@ def stands(source: str, state: dict[str, float]) -> str:
         return f"does not move, because the plant has stopped the axis: `hysteresis call {plant} start` resumes it"
     if mode == STOPPED:
         return f"is stopped: {start}"
-    if error > at.SENSOR_ERROR:  # this error clears itself
+    if error > at.SENSOR_ERROR:  # a sensor error clears itself
         return f"has stopped with the error {at.ERROR_NAMES[error]}: {start} after repair"
     if round(state.get("phase", 0.0)) == at.RELEASED:
         return f"has released the slider: {start}"

@@ -9,7 +9,7 @@
 
 """Connection of commands to the session that ``hysteresis up`` keeps in the graph; imports no ROS.
 
-A command without the session needs up to some seconds for discovery; the session already knows the nodes. The kernel
+A command without the session needs up to several seconds for discovery; the session already knows the nodes. The kernel
 releases the address of the session however the session ends, and identifies the user at the other end of a connection.
 """
 

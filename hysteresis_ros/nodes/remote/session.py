@@ -9,7 +9,7 @@
 
 """``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands while an axis runs.
 
-The session keeps a participant in the graph, so that a command needs no discovery; between commands it sleeps.
+The session keeps a participant in the graph, so that a command needs no discovery; between commands the session sleeps.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hysteresis_ros.nodes.remote.__main__ import done
 from hysteresis_ros.nodes.remote.client import Client
 from hysteresis_ros.nodes.remote.door import address, is_of_this_user
 
-#: Interval of the attempts to take over the address of another session [s].
+#: Interval between attempts to take over the address of another session [s].
 AGAIN = 1.0
 #: Time for the discovery of all nodes [s]; a session that has run for longer need not wait for further nodes.
 INTRODUCED = 5.0

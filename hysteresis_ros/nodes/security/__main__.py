@@ -173,7 +173,7 @@ def _remapped(remap: tuple[str, ...]) -> list[str]:
 
 
 def _of_stage(stage: StageParameters, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
-    """Return the enclaves of a stage: its processes, its operator and monitor, and those of each axis.
+    """Return the enclaves of a stage: of its processes, its operator and its monitor, and the enclaves of each axis.
 
     The operator of one axis may not publish setpoints and trajectories of the stage, which move the other axes too.
     """
@@ -263,7 +263,7 @@ def _destroyed(node) -> None:
 
 
 def _of_a_command(axis: AxisParameters, context, namespace: str | None = None) -> Profile:
-    """Return the interfaces of the node of a command, of this package or of ``ros2``, with any number in its name."""
+    """Return the interfaces of a command's node, of this package or ``ros2``; ``*`` replaces the number in its name."""
     with Client(axis.namespace if namespace is None else namespace, context=context) as client:
         own = used_by(client.node)
         numbered = f"_hysteresis_{os.getpid()}"
