@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Models as blocks over plain arrays: hysteresis and dynamics of an actuator, their inverses, and sensors.
+"""Models as blocks that work on plain arrays: hysteresis and dynamics of an actuator, their inverses, and sensors.
 
 Start with :mod:`.block` (kernels and blocks), :mod:`.declaration` and one law in ``hysteresis/``. Then read
 :mod:`.actuator`, which combines hysteresis, :mod:`.creep` and :mod:`.linear` dynamics, and :mod:`.compensator`, which
 inverts hysteresis and creep. :mod:`.friction`, :mod:`.clamp` and :mod:`.inchworm` model the inchworm motor.
 
 The package has a class for each hysteresis model; the constructor of the class takes the parameters as keywords:
-``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists them.
+``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists the classes.
 """
 
 from __future__ import annotations

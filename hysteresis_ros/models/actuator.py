@@ -128,7 +128,7 @@ class Actuator(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message states each of them.
+        Parameters are wrong; the message states each wrong parameter.
     """
 
     def __init__(self, parameters: ActuatorParameters, sample_time: float):
@@ -163,7 +163,7 @@ class Actuator(Chain):
         return interpreted(actuator_measure)(self.ps, self.xs)
 
     def measure_force(self) -> float:
-        """Return the reading [N] of the force sensor, NaN without one; call it once per sample: it generates noise."""
+        """Return the reading [N] of the force sensor, or NaN without a sensor; call it only once per sample (noise)."""
         return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:
@@ -198,7 +198,7 @@ class Actuator(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong or change the structure. Nothing is changed then.
+            The parameters are wrong or change the structure; the actuator then remains unchanged.
         """
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)

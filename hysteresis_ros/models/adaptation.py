@@ -125,7 +125,7 @@ class AdaptationStates(NamedTuple):
 
 @kernel
 def bent(own, places, p, total, slope):
-    """Return the output of the dead zones [m] for the sum ``total`` of the terms; if ``slope`` is not 0, the slope."""
+    """Return the output of the dead zones [m] for the sum ``total`` of the terms, or the slope if ``slope`` != 0."""
     terms, zones = int(own[TERMS]), int(own[ZONES])
     y, steepness = total, 1.0
     for j in range(zones):
@@ -344,7 +344,7 @@ def adapt(settings, states, p_h, x_h, voltage, measured, usable):
 
 #: Maximum number of adapted weights, because the computing time grows with the square of their number.
 MOST_WEIGHTS = 32
-#: Standard deviations of the prior: of the common gain, of the loop width, and of each weight in addition.
+#: Standard deviations of the prior: of the common gain, of the loop width, and of each individual weight.
 COMMON, OPENING, EACH = 0.3, 0.3, 1.0
 #: ε: residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
@@ -509,7 +509,7 @@ class Adaptation(Chain):
 
     @property
     def gain(self) -> float:
-        """Present gain, relative to the identified one."""
+        """Present gain, relative to the identified gain."""
         return float(self.xs.own[GAIN])
 
     @property
@@ -532,7 +532,7 @@ class Adaptation(Chain):
         self.xs.own[TOLD] = 1.0
 
     def resume(self) -> None:
-        """Learn again."""
+        """Resume learning."""
         self.xs.own[TOLD] = 0.0
 
     def forget(self) -> None:
@@ -585,7 +585,7 @@ class Adaptation(Chain):
         Raises
         ------
         ParameterError
-            The order of the dynamics differs. Nothing is changed then.
+            The order of the dynamics differs; the adaptation then remains unchanged.
         """
         self.dynamics.retune(parameters.dynamics)
         self.parameters = parameters

@@ -101,7 +101,7 @@ def _cache_directory():
     """Let Numba use the cache of these sources while a kernel is declared.
 
     Numba detects changes of a function's own file, but not of the functions that it calls. A cache next to the sources
-    would therefore return stale code after an update. A folder named after a digest of all sources does not.
+    would therefore return stale code after an update. A folder named after a digest of all sources prevents this.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         yield
@@ -123,7 +123,7 @@ CACHE_DAYS = 30
 
 @functools.cache
 def cache_folder() -> pathlib.Path:
-    """Return the folder with the machine code of these sources; remove folders of older sources that are unused."""
+    """Return the folder with the machine code of these sources; remove unused folders of older sources."""
     base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
     root = pathlib.Path(base) / "hysteresis_ros"
     package = pathlib.Path(__file__).parents[1]
@@ -183,13 +183,13 @@ if COMPILED:
 
     @typeof_impl.register(type(numba.njit(lambda: None)))
     def _type_of_compiled(value, context):
-        """Return the type of a compiled function; within the source of another one, the type of its internal form."""
+        """Return the type of a compiled function; in the source of another function, the type of its internal form."""
         within = getattr(value, "within", None) if context.purpose.name == "constant" else None
         return numba.types.Dispatcher(value) if within is None else _Within(within())
 
 
 def nested(function):
-    """Mark a composite that other composites call: it is compiled as part of them, and is plain Python for Python.
+    """Mark a composite that other composites call: it is compiled as part of them, and Python calls it as plain Python.
 
     If Python calls it, its kernels are passed as compiled functions (0.2-0.3 µs per call).
     """
@@ -351,7 +351,7 @@ if COMPILED:
 
 
 def displaced(arrays, distance):
-    """Return named tuples with arrays that are ``distance`` numbers after the given ones in the same block of memory.
+    """Return named tuples with arrays that are ``distance`` numbers after the given arrays in the same block of memory.
 
     All arrays are slices of one float64 array. Compiled code only moves pointers, which takes hardly any time.
     """
@@ -463,8 +463,8 @@ def _mark_of(function, arguments) -> pathlib.Path:
 def direct(function):
     """Return a form of a result of :func:`specialised` that does not look up the types of its arguments in each call.
 
-    The look-up takes a millisecond for all arrays of an axis. It is not checked that the arguments have the types for
-    which the function was compiled, and that arrays are contiguous.
+    The look-up takes a millisecond for all arrays of an axis. The form checks neither whether the arguments have the
+    types for which it was compiled, nor whether arrays are contiguous.
     """
     return function.get_overload(function.nopython_signatures[0]) if COMPILED else function
 
@@ -489,7 +489,7 @@ def signature(*names):
     """Return the Numba signature for words.
 
     The words are ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``. A
-    named tuple with array fields only may take the place of a word.
+    class of named tuples whose fields are all arrays may replace a word.
     """
     scalar, array = numba.float64, numba.float64[::1]
     kinds = {
@@ -635,7 +635,7 @@ class Block:
         Raises
         ------
         ParameterError
-            The parameters are wrong; the block stays unchanged then.
+            The parameters are wrong; the block then remains unchanged.
         """
         packed = np.ascontiguousarray(self.pack(parameters.validated()), dtype=np.float64)
         self.parameters = parameters

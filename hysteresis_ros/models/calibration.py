@@ -30,7 +30,7 @@ from hysteresis_ros.models.block import Block, kernel
 #: Maximum number of coefficients of a polynomial.
 COEFFICIENTS = 8
 
-# Layout of a sensor's p; then follow the coefficients of the polynomial, the constant first.
+# Layout of a sensor's p; the coefficients of the polynomial follow, the constant first.
 SCALE, OFFSET, LOWEST, HIGHEST, RELATIVE, HOME, HOMING_SAMPLES, SENSOR_POLYNOMIAL = range(8)
 
 # Layout of a sensor's x: the last reading, number of readings beyond the range, subtracted position [m], number of
@@ -189,7 +189,7 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
 
 
 def _turns(slope: Any, low: float, high: float) -> list[float]:
-    """Return the values between two ends at which a polynomial has an extremum."""
+    """Return the values between two ends at which the polynomial ``slope`` has an extremum."""
     if not low < high:
         return []
     # for a variable scaled to -1 … 1, the coefficients are comparable, so negligible ones can be dropped
@@ -333,7 +333,7 @@ class AmplifierCalibration:
     def require_range(self, low: float, high: float, prefix: str) -> None:
         """Raise ParameterError unless the polynomial increases between these voltages [V].
 
-        Otherwise a value would belong to several voltages. ``prefix`` is that of the parameter's name.
+        Otherwise a value would belong to several voltages. ``prefix`` is the prefix of the parameter's name.
         """
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))

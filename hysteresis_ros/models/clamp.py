@@ -237,7 +237,7 @@ class Clamp(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message states each of them.
+        Parameters are wrong; the message states each wrong parameter.
     """
 
     def __init__(self, parameters: ClampParameters, sample_time: float):
@@ -264,7 +264,7 @@ class Clamp(Chain):
         """Set all states to the steady state for the initial voltage."""
         self.limits.x[UNQUANTISED] = (
             self.parameters.initial_voltage
-        )  # initial value, so that the slew rate does not limit it
+        )  # so that the slew rate does not limit the first step
         start = self.hysteresis.step(self.limits.step(self.parameters.initial_voltage))
         self.limits.x[FLAGS] = 0.0
         self.lag.settle(start)
@@ -314,7 +314,7 @@ class Clamp(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure. Nothing is changed then.
+            The parameters are wrong or of another structure; the clamp then remains unchanged.
         """
         self.check_retune(parameters.validated())
         self.limits.retune(parameters.limits)

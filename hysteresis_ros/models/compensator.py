@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis compensator: computes voltage and achieved command from the commanded displacement; and its range."""
+"""Hysteresis compensator, which computes voltage and achieved command from the commanded displacement; its range."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class Compensator(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message states each of them.
+        Parameters are wrong; the message states each wrong parameter.
     """
 
     def __init__(self, parameters: CompensatorParameters, sample_time: float):
@@ -282,7 +282,7 @@ class Compensator(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure. Nothing is changed then.
+            The parameters are wrong or of another structure; the compensator then remains unchanged.
         """
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)
@@ -307,7 +307,7 @@ class Compensator(Chain):
 
 #: Number of samples in one sweep of the voltage.
 SWEEP = 257
-#: Fraction of the range of an identified actuator that references use.
+#: Fraction of an identified actuator's range that references use.
 USED = 0.95
 
 
@@ -338,9 +338,9 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 
 
 def returned_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] that the compensator reaches when it comes from its other end.
+    """Return the smallest and largest displacement [m] that the compensator reaches from the opposite end.
 
-    An actuator with hysteresis does not return to its zero, so the first motion from there has a larger range. Units:
+    An actuator with hysteresis does not return to its zero, so the first motion from zero has a larger range. Units:
     ``sample_time`` [s].
     """
     if compensator.inverse.type == "none":
@@ -357,7 +357,7 @@ def commandable(compensator: CompensatorParameters, sample_time: float, *amplifi
 
     These commands are one stroke beyond either end of the compensator's range, because fast steps and inverse dynamics
     briefly need more than the range. Beyond them, the voltage no longer changes. ``amplifiers`` contains limits to
-    which a user may widen those of the compensator while the axis runs. Units: ``sample_time`` [s].
+    which a user may widen the compensator's limits while the axis runs. Units: ``sample_time`` [s].
     """
     ranges = compensator.limits, *amplifiers
     widest = LimitsParameters(

@@ -184,7 +184,7 @@ class Creep(Block):
         Raises
         ------
         ParameterError
-            The law or the number of operators differs, or the parameters are wrong. Nothing is changed then.
+            The law or the number of operators differs, or the parameters are wrong; the block then remains unchanged.
         """
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)

@@ -280,7 +280,7 @@ class HysteresisModel:
             raise TypeError(f"{self.name} has internal dynamics: declare response, which predicts its displacement")
 
     def rows(self) -> list[ParameterRow]:
-        """Return the rows of the table of its parameters."""
+        """Return the rows of the table of the model's parameters."""
         return self.parameters.table()
 
 
@@ -289,7 +289,7 @@ def _unit(row: ParameterRow) -> str:
 
 
 def times(parameters, factor: float, *names: str):
-    """Return parameters in which those named in ``names`` (numbers or tuples of numbers) are multiplied by a factor."""
+    """Return parameters in which the values ``names`` (numbers or tuples of numbers) are multiplied by a factor."""
     changed: dict[str, Any] = {}
     for name in names:
         value = getattr(parameters, name)
@@ -298,7 +298,7 @@ def times(parameters, factor: float, *names: str):
 
 
 def plus(parameters, offset: float, *names: str):
-    """Return parameters in which those named in ``names`` are increased by an offset."""
+    """Return parameters in which the values ``names`` are increased by an offset."""
     return replace(parameters, **{name: getattr(parameters, name) + offset for name in names})
 
 
@@ -343,7 +343,7 @@ class InvertibleBlock(HysteresisBlock):
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure; the block stays unchanged then.
+            The parameters are wrong or of another structure; the block then remains unchanged.
         """
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)

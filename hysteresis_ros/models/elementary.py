@@ -37,7 +37,7 @@ from hysteresis_ros.models.block import called
 # π/2 in two parts; the first part has 33 bits, so that its multiples by k < 2²⁰ are exact.
 _QUARTER_HIGH, _QUARTER_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
 _QUARTERS = 2.0 / math.pi  # quarter turns per radian
-#: Largest angle [rad] with a sine and a cosine.
+#: Largest angle [rad] for which sine and cosine are computed.
 LARGEST_ANGLE = 1e6
 
 # ln 2 and ln 2/32 in two parts each; the first part is short enough for exact multiples.

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A slider that friction holds and carries: set-valued Coulomb friction, Moreau's time stepping, solved exactly.
+"""Slider held and carried by friction: set-valued Coulomb friction with Moreau's time stepping, solved exactly.
 
 The slider has two contacts: one fixed to the body (rear), one on the tip of an elastic extender (front). Over a step of
 length h from k to k+1, with the extender's free displacement u at k+1 and its stiffness k_e,
@@ -34,7 +34,7 @@ with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a or g). An 
 anchor by κ ΔN, which is the kick of a clamp. The sum of the forces again decreases with v⁺, and has four kinks.
 
 The scheme is unconditionally stable. Like every implicit Euler step it adds damping: while the front clamp sticks,
-slider and extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2 instead of that of the real joint. With
+slider and extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2 instead of the joint's ratio. With
 compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2 small
 compared with ζ.
 """
@@ -60,7 +60,7 @@ STIFFNESS = 3  # stiffness of the extender [N/m]
 MINIMUM = 4  # end stops [m]
 MAXIMUM = 5
 SUBSTEPS = 6  # number of steps within a sample; 0: rigid contacts with one step
-FRONT_STIFFNESS = 7  # stiffness of compliant contacts, that of the front contact in series with the extender [N/m]
+FRONT_STIFFNESS = 7  # stiffness of the compliant contacts [N/m]; the front contact is in series with the extender
 REAR_STIFFNESS = 8
 FRONT_DAMPING = 9  # [N s/m]
 REAR_DAMPING = 10
@@ -89,7 +89,7 @@ ANCHOR = 17  # anchor of the rear contact [m]
 BEFORE = 18  # the four friction limits of the last sample [N]
 STATES = 22
 
-#: Each of the two contacts can change from static to kinetic friction once within a step.
+#: Maximum number of passes in a step, in which each of the two contacts can change to kinetic friction once.
 PASSES = 3
 #: Allowed numerical damping of the steps within a sample, as a fraction of the damping of the joint.
 CONVERGED = 0.1
@@ -191,8 +191,8 @@ def slide(p, x, u):
 def elastic_velocity(p, step, velocity, front, rear):
     """Return the velocity [m/s] at the end of a step between compliant contacts, without end stops.
 
-    ``velocity`` [m/s] is the velocity before the step. ``front`` and ``rear`` each contain a [N], b [N s/m] and a bound
-    [N]: the contact transmits the force a − b v, limited to ± the bound.
+    ``velocity`` [m/s] is the velocity before the step. ``front`` and ``rear`` each contain three values, a [N],
+    b [N s/m] and a bound [N]: the contact transmits the force a − b v, limited to ± the bound.
     """
     (a_f, b_f, most_f), (a_r, b_r, most_r) = front, rear
     inertia = p[MASS] / step

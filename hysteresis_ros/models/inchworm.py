@@ -10,8 +10,9 @@
 """Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider, moved by friction (K10).
 
 The extender is the actuator of :mod:`hysteresis_ros.models.actuator`. The position of the front clamp is the extender's
-free displacement minus F/k, where F is the force on the extender's tip and k the extender's stiffness. The clamps are
-those of :mod:`hysteresis_ros.models.clamp`, slider and friction are those of :mod:`hysteresis_ros.models.friction`.
+free displacement minus F/k, where F is the force on the extender's tip and k the extender's stiffness. The models of
+the clamps are in :mod:`hysteresis_ros.models.clamp`, those of slider and friction in
+:mod:`hysteresis_ros.models.friction`.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class InchwormParameters(Parameters):
     slider: SliderParameters = group(SliderParameters)
 
     def check(self):
-        """Yield a Problem if only one contact is compliant, or if a rigid contact has parameters of a compliant one."""
+        """Yield a Problem if only one contact is compliant, or if a rigid contact has parameters for compliance."""
         compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
         if compliant[0] != compliant[1]:
             name = "rear_clamp" if compliant[0] else "front_clamp"
@@ -130,8 +131,9 @@ class InchwormParameters(Parameters):
         front_voltage, rear_voltage : float
             Grip voltages of the gait [V].
         margin : float
-            Required holding force, as a multiple of the load. Because the extender is a spring, a load that is applied
-            suddenly oscillates, and its force reaches twice the load. 2 is safe for any gait, 1 is the limit at rest.
+            Required holding force, as a multiple of the load. Because the extender is a spring, a suddenly
+            applied load oscillates, with a force of up to twice the load. 2 is safe for any gait, 1 is the limit at
+            rest.
         prefix : str
             Prefix of the names of the parameters.
         """
@@ -154,7 +156,7 @@ class InchwormPlantParameters(ActuatorParameters):
     inchworm: InchwormParameters = group(InchwormParameters)
 
     def check(self):
-        """Yield a Problem for each noisy sensor whose noise sequence is that of another sensor."""
+        """Yield a Problem for each noisy sensor whose noise sequence equals the noise of another sensor."""
         yield from super().check()
         yield from seed_problems(self)
 
@@ -256,7 +258,7 @@ class Inchworm(Chain):
     Raises
     ------
     ParameterError
-        Parameters are wrong; the message states each of them.
+        Parameters are wrong; the message states each wrong parameter.
     """
 
     def __init__(self, parameters: InchwormPlantParameters, sample_time: float):
@@ -336,8 +338,8 @@ class Inchworm(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong, change the structure, or set a travel that does not contain the slider. Nothing is
-            changed then.
+            The parameters are wrong, change the structure, or set a travel that does not contain the slider; the motor
+            then remains unchanged.
         """
         motor = parameters.validated().inchworm
         for name in ("front_clamp", "rear_clamp"):
@@ -357,5 +359,5 @@ class Inchworm(Chain):
 
 
 def _extender(parameters: InchwormPlantParameters) -> ActuatorParameters:
-    """Return those parameters that belong to the extender itself."""
+    """Return the parameters that belong to the extender itself."""
     return ActuatorParameters(**{item.name: getattr(parameters, item.name) for item in fields(ActuatorParameters)})

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses by name: an exact one by root search, an approximate one by Picard steps, and those declared by models.
+"""The inverses by name: exact by root search, approximate by Picard steps, and the inverses that models declare.
 
 The inverse ``general`` evaluates the model's kernel with a copy of the model's state. For any model, it finds the
 voltage at which the model's output is the commanded displacement.
@@ -28,7 +28,7 @@ from hysteresis_ros.models.declaration import HysteresisBlock, OwnInverse, requi
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
 from hysteresis_ros.models.hysteresis.proportional import proportional_inverse
 
-# Layout of p_i; the first three entries are those of the Picard steps.
+# Layout of p_i of ``general``; the first three entries are the parameters of the Picard steps.
 GAIN = 2  # nominal gain [m/V]
 LOWEST = 3  # first of the two voltages of the search range [V]
 HIGHEST = 4
@@ -130,7 +130,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
     return near if -near_error <= far_error else far
 
 
-# Layout of p_i.
+# Layout of p_i of the Picard steps.
 STEPS = 0
 RATE = 1  # R [V/m]
 PICARD_GAIN = 2  # nominal gain [m/V]

@@ -60,7 +60,7 @@ def advance(p, matrix, column, x, state, n, u):
         x[state + n + i] = accumulate(p[column + i] * u, p, matrix + i * n, x, state, n)
     for i in range(n):
         value = x[state + n + i]
-        # the comparison has this form, so that NaN stays
+        # this form of the comparison keeps NaN
         x[state + i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
@@ -208,7 +208,7 @@ class LinearParameters(Parameters):
 
     @property
     def order(self) -> int:
-        """Number of states, including those of the delay."""
+        """Number of states, including the states of the delay."""
         whole, part = self.delayed_samples
         if not whole and not part:
             return self._rows
@@ -230,7 +230,7 @@ class LinearParameters(Parameters):
 
     @functools.cached_property
     def dc_gain(self) -> float:
-        """DC gain in model units, of :attr:`state_space`."""
+        """DC gain of :attr:`state_space`, in model units."""
         return self.state_space.dc_gain
 
     @property
@@ -280,7 +280,7 @@ class LinearParameters(Parameters):
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Raise ParameterError about ``name`` if a sample time [s] differs from the one stated for the matrices."""
+        """Raise ParameterError about ``name`` if a sample time [s] differs from that of the matrices."""
         if not self.order or not self.sample_time:
             return
         if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
@@ -393,7 +393,7 @@ class LinearDynamics(Block):
             self.x[STATE : STATE + n] = solve(np.eye(n) - model.A, model.B[:, 0] * (u / self.p[INPUT_SCALE]))
 
     def retune(self, parameters: LinearParameters) -> None:
-        """Change to matrices of the same order while running; the state stays.
+        """Change to matrices of the same order while running; the state is kept.
 
         Raises
         ------

@@ -13,7 +13,7 @@ BLAS and LAPACK choose their kernels by the type of processor. Sums then have an
 so that the last digit differs. Numbers that a running axis uses (gains, steady states, input scales, inverse filters)
 are therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of
 float64, rounded correctly by IEEE 754; the order of the steps depends only on the sizes. NumPy's elementwise operations
-consist of such steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
+consist of such steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` do not.
 
 Rank, stability and printed figures may use ``np.linalg``, because these numbers do not depend on them.
 

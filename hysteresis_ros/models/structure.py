@@ -46,7 +46,7 @@ MOST_CHANNELS = 16
 REST_STEPS, REST_CHANGE = 1000, 1e-13
 
 # Layout of p: the sizes; for each row of A, the index of the first nonzero column and one plus the index of the last
-# one; then the matrices, row by row, in the order A, B, B_w, C, D, C_z, g, radii, weights.
+# nonzero column; then the matrices, row by row, in the order A, B, B_w, C, D, C_z, g, radii, weights.
 ORDER = 0
 INPUTS = 1
 OUTPUTS = 2
@@ -164,7 +164,7 @@ class StructureParameters(Parameters):
         return self.sliding(self.play_weights.sum(axis=1))
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Refuse a sample time [s] that differs from the one stated for the matrices."""
+        """Refuse a sample time [s] that differs from the stated sample time of the matrices."""
         if self.sample_time and abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
             allowed = (
                 f"the matrices are for this sample time, but the loop runs at {sample_time:.9g} s: set its rate to "
@@ -248,7 +248,7 @@ def structure_advance(p, x, u):
         x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
     for i in range(n):
         value = x[n + i]
-        # the comparison has this form, so that NaN stays
+        # this form of the comparison keeps NaN
         x[i] = 0.0 if -NOTHING < value < NOTHING else value
 
 

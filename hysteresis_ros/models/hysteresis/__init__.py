@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis models: each is a file or folder in this folder and is found automatically; a parameter selects one.
+"""The hysteresis models: each is a file or folder in this folder and is found automatically.
 
 :mod:`hysteresis_ros.models.declaration` describes the declaration of a model.
 """
@@ -70,7 +70,7 @@ class HysteresisParameters(Parameters):
         return self.changed(self.model.scaled(self.chosen, factor))
 
     def shifted(self, offset: float) -> HysteresisParameters:
-        """Return the hysteresis with ``offset`` [m] added to its displacement; unchanged if the model has no constant.
+        """Return the hysteresis with ``offset`` [m] added to its displacement; unchanged without a constant term.
 
         Parameters
         ----------
@@ -90,10 +90,10 @@ class HysteresisParameters(Parameters):
 
 
 def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> HysteresisBlock:
-    """Return the block of the chosen model; ParameterError if its type or parameters are wrong.
+    """Return the block of the chosen model; raise ParameterError if type or parameters are wrong.
 
-    In addition to the attributes of every block, it has ``gain`` [m/V], ``inverse`` (closed-form inverse, or None),
-    ``rate_independent``, ``invertible`` and ``rebase()``.
+    In addition to the attributes of every block, the block has ``gain`` [m/V], ``inverse`` (closed-form inverse, or
+    None), ``rate_independent``, ``invertible`` and ``rebase()``.
     """
     parameters = parameters.validated()
     return parameters.model.block(parameters.chosen, sample_time)

@@ -24,7 +24,7 @@ positive in the direction of motion,
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
 other exponents, each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
 changes by at most the fraction :data:`CURVATURE`. The zero of g is located, so that no substep spans the kink at this
-point. Compared with a solution of 12 digits, the error is below 1e-6 of the stroke for steps of any size, and below
+point. Compared with a solution to 12 digits, the error is below 1e-6 of the stroke for steps of any size, and below
 1e-9 for 300 steps per sweep.
 
 The paper prints |dV/dt| V instead of |dV/dt| h; with the printed form the output diverges.
@@ -96,7 +96,7 @@ class BoucWenParameters(Parameters):
             )
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return warnings about parameters outside the bounded class (β + γ > 0, β - γ >= 0) and loops not monotone.
+        """Return warnings about parameters outside the bounded class (β + γ > 0, β - γ >= 0) and non-monotone loops.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ def _power_advance(p, g, distance):
 
 @kernel
 def hysteretic_part(p, x, u):
-    """Return h [m] after a monotone change of the voltage from the one in ``x`` to ``u`` [V]; x is not changed."""
+    """Return h [m] after a monotone change of the voltage from that in ``x`` to ``u`` [V]; x is not changed."""
     direction = 1.0 if u > x[VOLTAGE] else -1.0
     distance = abs(u - x[VOLTAGE])
     if p[EXPONENT] == 1.0:

@@ -69,7 +69,7 @@ LARGEST_STEP = 1.5
 
 @dataclass(frozen=True)
 class BoucWenMechanicalParameters(Parameters):
-    """Parameters of the Bouc-Wen oscillator; the names are those of the benchmark."""
+    """Parameters of the Bouc-Wen oscillator, with the names of the benchmark."""
 
     mass: float = parameter(description="m", unit="kg", low=1e-15)
     damping: float = parameter(description="c", unit="N·s/m", low=0.0)
@@ -208,7 +208,7 @@ class BoucWenOscillator(HysteresisBlock):
     def response(self, u) -> np.ndarray:
         """Return the displacement, shape (N,), *at* the times of the inputs ``u``, shape (N,).
 
-        The first value is that of the present state, both for a held and for a linear input.
+        The first value is the displacement of the present state, both for a held and for a linear input.
         """
         if self.parameters.intersample == "linear":
             return self.simulate(u)

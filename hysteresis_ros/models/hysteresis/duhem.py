@@ -14,8 +14,8 @@ r"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and
    \dot w = \alpha |\dot v| \left[ f(v) - w \right] + g(v) \dot v
 
 [1]_: rising dw/dv = α (f - w) + g, falling dw/dv = -α (f - w) + g. The functions f and g are small networks of tanh
-units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that their weights do not
-depend on units. Beyond the input range, f is linear and g is constant.
+units or cubic splines. Their input is normalised to -1 … 1, and their values are normalised, so that their weights do
+not depend on units. Beyond the input range, f is linear and g is constant.
 
 Along a monotone step the equation is linear in w. Each substep of length h is integrated as ``e^(-α h) w`` plus the
 integral of the shape functions times the exponential, by a three-point Gauss rule. With the substeps that are used, the

@@ -81,7 +81,7 @@ RESIDUE = 2  # remaining offset after a retune [m]
 SPEED = 3  # averaged speed of the voltage [V/s]
 PLAY = 4
 
-#: Largest bend of an envelope; its slope then stays above 0.1.
+#: Largest bend of an envelope; with it, the slope of the envelope is at least 0.1.
 LARGEST_BEND = 0.9
 #: Largest ratio κ of ``rate`` [s] to ``memory`` [s], the averaging time of the speed. Errors δ of the inverse's
 #: voltage in the last two samples cause the error κ (δ_k-1 - δ_k-2) in sample k; errors decay for κ < 0.5.

@@ -28,8 +28,9 @@ loops. The following rule is continuous at every reversal, for any coefficients:
   ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to the
   upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
 * Falling from ``(V_t, x_t)`` the output is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower
-  corner ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (a
-  stack at rest is first driven negative) cannot be blended: its difference from ``x_f`` stays until V_max grows.
+  corner ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (if
+  a stack at rest is first driven to a negative voltage) cannot be blended: its difference from ``x_f`` remains until
+  V_max grows.
 
 Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores only these
 two corners, and not the corners of minor loops.
@@ -159,7 +160,7 @@ def assumed_stack(
 ) -> PolynomialParameters:
     """Return the parameters of a stack whose loops have the given corners and width.
 
-        This is the assumption K7a: the text of the paper does not contain the numbers of its figure 4.
+    This is the assumption K7a: the text of the paper does not contain the numbers of its figure 4.
 
     Parameters
     ----------

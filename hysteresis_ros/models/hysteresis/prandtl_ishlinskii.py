@@ -51,8 +51,8 @@ from hysteresis_ros.models.declaration import (
 )
 from hysteresis_ros.models.linear_algebra import product
 
-# Layout of p; then follow radii and weights of the plays, then thresholds and weights of the dead zones: first those
-# above zero in increasing order, then those below zero in decreasing order.
+# Layout of p; radii and weights of the plays follow, then thresholds and weights of the dead zones: first the zones
+# above zero in increasing order, then the zones below zero in decreasing order.
 PLAYS = 0
 ABOVE = 1
 BELOW = 2
@@ -253,7 +253,7 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
     def rebase(self) -> None:
         """Move each play by the same fraction of its free range, in order to compensate a change of the output.
 
-        This keeps the order of the plays. The part that they cannot compensate stays as a constant until :meth:`reset`.
+        This keeps the order of the plays. What the plays cannot compensate remains as a constant until :meth:`reset`.
         """
         x, p, plays = self.x, self.p, int(self.p[PLAYS])
         voltage, z = x[VOLTAGE], x[PLAY:]

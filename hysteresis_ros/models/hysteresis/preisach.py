@@ -17,7 +17,7 @@ with the stored maxima v and minima m, offset x_0 and reversible slope s. The Ev
 of the output when the input, coming from below, reverses at ``a`` and falls to ``b``. For any history, a rise from a
 minimum m to v adds ``E(v, m)``, and a fall from a maximum M to v subtracts ``E(M, v)`` (congruency). When a loop
 closes, it is removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid; between the
-nodes, E is interpolated bilinearly, and in the triangles at the diagonal linearly.
+nodes, E is interpolated bilinearly, in the triangles at the diagonal linearly.
 
 Outside the range of the grid the memory does not change; the output continues along the end of the major loop.
 """
@@ -54,8 +54,8 @@ SLOPE_BELOW = 7  # slopes outside the grid [m/V]
 SLOPE_ABOVE = 8
 TABLE = 9
 
-# Layout of x, after VOLTAGE and DISPLACEMENT; then follow the voltages of the turning points (minimum, maximum, minimum
-# …; the first one is the lower end of the range) and the hysteretic outputs at these points.
+# Layout of x, after VOLTAGE and DISPLACEMENT. The voltages of the turning points follow (minimum, maximum, minimum …;
+# the first minimum is the lower end of the range), and then the hysteretic outputs at these points.
 DEPTH = 2  # number of turning points
 RESIDUE = 3  # offset [m] after a retune or a removed loop; it fades out while the voltage travels by RESIDUE_LEFT
 RESIDUE_LEFT = 4  # remaining travel of the voltage [V] until the offset is zero
