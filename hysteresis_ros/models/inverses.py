@@ -241,7 +241,7 @@ class InverseParameters(Parameters):
             yield Problem("inverse.type", kind, remedy)
 
     def require_same(self, present: InverseParameters) -> None:
-        """Raise ParameterError if type or sizes differ from those of ``present``, which are fixed while running."""
+        """Raise ParameterError if type or sizes, which are fixed while running, differ from ``present``."""
         if self.type != present.type:
             raise ParameterError([Problem("inverse.type", self.type, f"is fixed while running: keep {present.type}")])
         if self._own_block is not None:

@@ -40,7 +40,7 @@ LARGEST_NEWTON_CHANGE = 1e-8
 NEWTON_STEPS = 12
 #: A Riccati iteration has failed after this number of doublings, which corresponds to 2^60 samples of the closed loop.
 DOUBLINGS = 60
-#: The iteration has failed if one eigenvalue needs more than this number of QR steps.
+#: The search for eigenvalues has failed if one eigenvalue needs more than this number of QR steps.
 QR_STEPS = 60
 EPSILON = 2.0**-52
 #: In balancing, entries smaller than this fraction of the largest entry are ignored.

@@ -92,7 +92,7 @@ class DisplacementCameraNode(AxisNode):
         self.sample += 1
 
     def _count_lost(self, stamp) -> None:
-        """Count the frames lost since the last received one; each of them is a sample without a measurement."""
+        """Count the frames lost since the last received frame; each lost frame is a sample without a measurement."""
         nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
         lost = round((nanoseconds - self._stamp) * 1e-9 * self.parameters.sample_rate) - 1
         if self._stamp >= 0 and lost > 0:

@@ -150,7 +150,7 @@ class FusedAxis:
     # -- start and end -------------------------------------------------------------------------------------------
 
     def activated(self, node) -> None:
-        """Record an activated node; the last one starts the loop."""
+        """Record an activated node; when all nodes are active, start the loop."""
         if self.loop is not None:
             if node.kind in STOPPABLE and node.running:
                 self.apply(node.kind, "start")

@@ -93,12 +93,12 @@ class HysteresisCompensatorNode(Responder):
 
     @property
     def is_stale(self) -> bool:
-        """Whether no commands have arrived for the time-out."""
+        """Whether no command has arrived within the time-out."""
         return self.silent
 
     @property
     def silent(self) -> bool:
-        """Whether no commands have arrived for the time-out."""
+        """Whether no command has arrived within the time-out."""
         return self._mode == STALE
 
     @property

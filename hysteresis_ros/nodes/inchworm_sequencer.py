@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``inchworm_sequencer``: setpoints in millimetres → clamp voltages, ``reference`` and ``origin``.
+"""Node ``inchworm_sequencer``: setpoints over a travel of millimetres → clamp voltages, ``reference``, ``origin``.
 
 It replaces the reference generator on the axis of an inchworm motor.
 """
@@ -141,8 +141,8 @@ class InchwormSequencerNode(ReferenceSource):
             return reason
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
-            # the sequencer accepts only a setpoint that differs from the last one, so an equal setpoint is changed by
-            # the least possible amount
+            # the sequencer accepts only a setpoint that differs from the last setpoint, so an equal setpoint is changed
+            # by the least possible amount
             low, high = self.sequencer.parameters.minimum, self.sequencer.parameters.maximum
             value = math.nextafter(value, high if value < 0.5 * (low + high) else low)
         self.setpoint = value

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: a node runs only once in a ROS domain, and each of its inputs accepts only one publisher.
+"""One active publisher: a node runs only once in a ROS domain, and each of its inputs accepts only one publisher.
 
 A node claims its name on this machine, because discovery would report a second graph only after both graphs have moved.
 The kernel releases the claim when the process ends, however it ends.
@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return number and command line of the process that has claimed a node; '' if no process has claimed it."""
+    """Return number and command line of the process that has claimed a node; empty if no process has."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:

@@ -58,7 +58,7 @@ class Shortfall:
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare an achieved command [m] with the nearest of the last commands, because the former may arrive late."""
+        """Compare an achieved command [m], which may arrive late, with the nearest of the last commands."""
         self._largest = max(self._largest, abs(applied))
         allowed = max(FRACTION * self._largest, SMALLEST)
         if abs(self._sent[-1] - applied) <= allowed:
@@ -149,7 +149,7 @@ class MotionControllerNode(Responder):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
 
     Missing or wrong measurements are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.controller`). In
-    real time a measurement whose stamp does not follow the last one counts as missing; while no measurements arrive,
+    real time a measurement whose stamp does not follow the last stamp counts as missing; while no measurements arrive,
     the clock counts the samples.
 
     At exit the node publishes no final command, because that would be a step. After the compensator's time-out the
@@ -355,17 +355,17 @@ class MotionControllerNode(Responder):
             self.row[input_.signal] = data
 
     def refuse_value(self, input_: Input, data: float) -> None:
-        """Log that a reference is invalid: the last valid one is used; for a motor the command is held."""
+        """Log that a reference is invalid: the last valid reference is used; for a motor the command is held."""
         if not input_.previous:
             self.warn(input_.topic, f"{input_.topic} {data} m refused, the last value is kept")
 
     def show(self, stamp, quiet: bool) -> None:
-        """Publish the row of a sample, and compare its command with the achieved one."""
+        """Publish the row of a sample, and compare its command with the achieved command."""
         super().show(stamp, quiet)
         self.shortfall.carried_out(self.row[signals.APPLIED])
 
     def after_step(self) -> None:
-        """Log changes of mode, and store the command for the comparison with the achieved one."""
+        """Log changes of mode, and store the command for the comparison with the achieved command."""
         self.shortfall.sent(self.row[signals.COMMAND])
         self.after_missing()
 

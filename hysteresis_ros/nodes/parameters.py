@@ -98,7 +98,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
     try:
         path = pathlib.Path(value).expanduser().resolve()
-        if any(part.is_symlink() for part in (path, *path.parents)):  # since 3.13 a loop raises no error
+        if any(part.is_symlink() for part in (path, *path.parents)):  # Python ≥ 3.13: a loop raises no error
             raise OSError("a loop of symbolic links")
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, or a null byte
@@ -143,8 +143,8 @@ def answered(serve):
 class GuardedServices(Node):
     """A node whose services, including those of rclpy, survive any request; list it before rclpy's node class.
 
-    An exception in a service ends the process without moving the outputs to safe values; rclpy up to 7.1.6 raises one,
-    for instance, for a value of an unknown type.
+    An exception in a service ends the process without moving the outputs to safe values; rclpy up to 7.1.6 raises an
+    exception, for instance, for a value of an unknown type.
     """
 
     def create_service(self, srv_type, srv_name, callback, **options):
@@ -203,7 +203,7 @@ def _why_not(parameter) -> str:
 
 
 def _set_each(request, response, serve):
-    """Set parameters one by one, so that the refusal of one does not affect the others."""
+    """Set parameters one by one, so that a refusal does not affect the other parameters."""
     for parameter in request.parameters:
         reason = _why_not(parameter)
         refused = [SetParametersResult(successful=False, reason=reason)] if reason else None
@@ -390,7 +390,7 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse voltage limits wider than those at the start of the node, which protect the connected device."""
+        """Refuse voltage limits that are wider than at the start of the node, to protect the connected device."""
         beyond = [name for name, value in changed.items() if self._is_beyond(name, value, self._at_start.get(name))]
         if beyond:
             raise ParameterError(

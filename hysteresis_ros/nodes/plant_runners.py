@@ -44,10 +44,10 @@ EXACT_WAIT = 0.02
 #: Interval at which a device is kept alive between samples [s].
 PAUSE = 0.01
 
-#: Nodes of an axis that read joint_states.
+#: Number of nodes of an axis that read joint_states.
 READERS = 3
 
-#: Delay [periods] above which the schedule is shifted; a smaller delay is caught up.
+#: Delay [periods] above which the schedule is shifted; the loop catches up a smaller delay.
 FAR_BEHIND = 10.0
 
 #: Time without a voltage after which no voltage is pending: the longer of a time [s] and a number of periods. The third
@@ -119,7 +119,7 @@ class LockstepPlant(Lockstep):
         return self.matched() and not self._recorder_behind()
 
     def begin_sample(self) -> bool:
-        """Await the voltages of the present sample; return False after the last one, which ends the run."""
+        """Await the voltages of the present sample; return False after the last sample, which ends the run."""
         node = self.node
         if node.parameters.samples and node.sample >= node.parameters.samples:
             self._ended = True
@@ -205,8 +205,8 @@ class RealTimePlant(RealTime):
     """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
     A voltage carries no number, so it is assigned to a sample by count. A voltage that answers an earlier sample is
-    late; the last voltage in time is held instead, unless ``late_limit`` allows any number of late voltages or the loop
-    is open. At the first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered
+    late; the last punctual voltage is held instead, unless ``late_limit`` allows any number of late voltages or the
+    loop is open. At the first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered
     samples is unknown: the next sample then waits until no voltage is pending, and the count starts with this sample. A
     node that joins a running axis does not delay the samples: voltages are accepted as they arrive, and are counted
     again as soon as some samples in a row have been answered.
@@ -291,7 +291,7 @@ class RealTimePlant(RealTime):
         return at_work and now - self._heard.get(input_.topic, now) > limit
 
     def replaced(self, topic: str, name: str) -> None:
-        """Handle voltages from a new process of a node; the previous one is lost unless it has announced its stop."""
+        """Handle voltages from a new process of a node; the previous process is lost unless it announced its stop."""
         node = self.node
         for input_ in node.inputs:
             partner = input_.partner
@@ -303,7 +303,7 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _await_voltages(self) -> None:
-        """Restart the measurement of silence, because no partner could send voltages while this node was inactive."""
+        """Restart the measurement of silence, because no voltages could be sent while a partner was inactive."""
         now = time.monotonic()
         for input_ in self.node.inputs:
             input_.first = now
@@ -391,7 +391,7 @@ class RealTimePlant(RealTime):
         self._presence.publish(String(data=f"{GONE if held else HERE} {self.node.kind}"))
 
     def voltage(self, input_, message) -> None:
-        """Receive a voltage; the last one before the deadline counts."""
+        """Receive a voltage; the last voltage before the deadline is used."""
         node = self.node
         if not input_.received:
             self.align()
@@ -501,7 +501,7 @@ class RealTimePlant(RealTime):
             self.node.part.forgive()
 
     def go_to_next(self, before: bool, behind: bool) -> None:
-        """Handle a stop of the axis in this sample (not ``before`` it); shift a schedule that is ``behind``."""
+        """Handle a new stop of the axis (``before``: it was stopped already); shift a schedule that is ``behind``."""
         node = self.node
         late = node.part.tripped and not before and not node.part.failure
         if late and self._is_open:
@@ -555,7 +555,7 @@ class RealTimePlant(RealTime):
         return False
 
     def _align(self) -> None:
-        """Wait until no voltage is pending, and start the count there."""
+        """Wait until no voltage is pending, and then start the count."""
         node = self.node
         self._unaligned = False
         self._settling = 0

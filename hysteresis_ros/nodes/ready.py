@@ -57,7 +57,7 @@ Job = Callable[[], Callable[[], object] | None]
 
 
 class MoveToReady:
-    """A move, which begins with a sample from ``first`` on with its setpoint; ``path``: points of its trajectory."""
+    """A move, which begins with the first sample with its setpoint from ``first`` on; ``path``: points, if any."""
 
     def __init__(self, number: int, first: int, setpoint: float, readiness: Readiness, path: dict | None):
         self.number, self.first, self.setpoint, self.path = number, first, setpoint, path
@@ -276,7 +276,7 @@ class ReadyTopics:
     def begin(self, before: float, setpoint: float, path: dict | None = None, first: int | None = None) -> None:
         """Monitor an accepted move from the setpoint ``before`` to ``setpoint`` [m], from the sample ``first`` on.
 
-        The tolerance is that of the request ``~/move``, or that of the parameters. ``path`` are the points of a
+        The tolerance comes from the request ``~/move``, or from the parameters. ``path`` are the points of a
         trajectory.
         """
         node = self._node

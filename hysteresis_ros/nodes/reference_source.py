@@ -51,7 +51,7 @@ class ReferenceSource(Responder):
     refused = 0
     #: Present setpoint [m].
     setpoint = 0.0
-    #: Last published value of ``settled``; None: no value is published yet. False without topics: none to withdraw.
+    #: Last published value of ``settled``; None: no value yet; False without topics, so that nothing is published.
     _told: bool | None = False
     #: Topic of the triggers; None: the axis makes no triggers.
     trigger_out: TriggerTopic | None = None

@@ -28,7 +28,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
 
-#: Name of the topic, below the plant.
+#: Name of the topic, relative to the name of the plant's node.
 TOPIC = "samples"
 #: Interval between two blocks [s], for 30 blocks per second, the redraw rate of a page.
 PERIOD = 1.0 / 30.0

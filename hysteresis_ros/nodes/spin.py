@@ -80,7 +80,7 @@ MOST_SCHEDULED = 100
 #: Module whose functions the compiler calls back.
 COMPILER = "llvmlite.binding.executionengine"
 
-#: Time without a message after which none is pending [s].
+#: Time without a message after which no message is pending [s].
 QUIET = 0.1
 
 
@@ -146,7 +146,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         executor = make_executor()
         for node in nodes:
             executor.add_node(node)
-        # all nodes are configured before the first one moves
+        # all nodes are configured before the first node is activated
         for step in ("configure_now", "activate_now"):
             if step == "activate_now":
                 await_discovery(nodes)

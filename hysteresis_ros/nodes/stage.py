@@ -152,7 +152,7 @@ class StagePlants(Group):
             node.close_sample()
 
     def stop_together(self) -> None:
-        """Stop all axes when one of them is stopped."""
+        """Stop all axes when one axis is stopped."""
         if any(node.part.tripped for node in self.nodes):
             for node in self.nodes:
                 node.part.stop_with_stage()
@@ -421,7 +421,7 @@ class StageCompensatorNode(HysteresisCompensatorNode):
 
 
 class StageControllers(Group):
-    """The controllers of a stage: they share a feedforward, and while one measurement is stale, all are safe."""
+    """The controllers of a stage: they share a feedforward; while one measurement is stale, all axes are safe."""
 
     def exchange_references(self) -> None:
         """Add the part of the feedforward of the stage to the next command of each axis."""
@@ -468,7 +468,7 @@ class StageControllerNode(MotionControllerNode):
         self.group.coupling.arrays.known[self.group.nodes.index(self)] = 0.0
 
     def health(self):
-        """Report stale and rejected measurements, saturated commands, and whether another axis keeps this one safe."""
+        """Report stale and rejected measurements, saturated commands, and whether another axis keeps this axis safe."""
         found = super().health()
         if self.part.arrays.watch_x.own[STOP] != WITH_STAGE:
             return found

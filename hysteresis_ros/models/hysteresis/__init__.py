@@ -81,7 +81,7 @@ class HysteresisParameters(Parameters):
         return self if shifted is None else self.changed(shifted(self.chosen, offset))
 
     def require_same(self, present: HysteresisParameters) -> None:
-        """Raise ParameterError if type or sizes differ from those of ``present``, which are fixed while running."""
+        """Raise ParameterError if type or sizes, which are fixed while running, differ from ``present``."""
         if self.type != present.type:
             raise ParameterError(
                 [Problem("hysteresis.type", self.type, f"is fixed while running: keep {present.type}")]

@@ -116,7 +116,7 @@ class Session:
 
 
 def main() -> None:
-    """Serve until the parent process ends this one."""
+    """Serve until the parent process ends this process."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     stay_on_this_machine()
