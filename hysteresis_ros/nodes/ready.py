@@ -57,7 +57,7 @@ Job = Callable[[], Callable[[], object] | None]
 
 
 class MoveToReady:
-    """A move, which begins with the first sample with its setpoint from ``first`` on; ``path``: points, if any."""
+    """A move from sample ``first`` on; without a ``path`` (points), from the next sample with its setpoint on."""
 
     def __init__(self, number: int, first: int, setpoint: float, readiness: Readiness, path: dict | None):
         self.number, self.first, self.setpoint, self.path = number, first, setpoint, path
