@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Blocks: every model, inverse, controller and observer is a kernel over plain arrays with a small class around it.
+"""Blocks: every model, inverse, controller and observer is a kernel on plain arrays with a small class around it.
 
-A *kernel* is a function ``y = kernel(p, x, u)`` over contiguous float64 arrays: ``p`` contains the parameters (read
+A *kernel* is a function ``y = kernel(p, x, u)`` of contiguous float64 arrays: ``p`` contains the parameters (read
 only), ``x`` the state (updated in place); input ``u`` and output ``y`` are scalars. The kernel of a controller is ``u =
 kernel(p, x, r, y)`` with reference r and measurement y. Kernels allocate nothing and do not depend on ROS. With Numba
 (optional extra ``fast``) this source is compiled; without Numba it runs as plain Python, and the results agree to 1e-12

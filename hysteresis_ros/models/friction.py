@@ -364,7 +364,7 @@ class SliderParameters(Parameters):
 
 @dataclass(frozen=True)
 class Contacts:
-    """Compliance and kick of the contacts; if all are 0, the contacts are rigid.
+    """Compliance and kick of the contacts; the contacts are rigid unless both compliances are above 0.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ class Contacts:
 
     @property
     def rigid(self) -> bool:
-        """Whether both contacts are rigid."""
+        """Whether the contacts are treated as rigid, which they are unless both are compliant."""
         return not (self.front_compliance > 0.0 and self.rear_compliance > 0.0)
 
 
