@@ -34,7 +34,7 @@ PLACES = np.arange(1, INSTANTS + 1) / INSTANTS
 def displacement_between(actuator: Actuator, voltage) -> np.ndarray:
     """Return the displacement [m] of an actuator without the preload offset, shape (N, INSTANTS).
 
-    The linear dynamics continue while their input is held; at the samples the displacement equals that of the loop.
+    The linear dynamics continue while their input is held; at the samples, the result equals the loop's displacement.
 
     Units: ``voltage`` [V].
     """
@@ -46,7 +46,8 @@ def displacement_between(actuator: Actuator, voltage) -> np.ndarray:
 def between_samples(parameters: LinearParameters, sample_time: float, rest: float, held) -> np.ndarray:
     """Return the output [m] of linear dynamics between their samples, shape (N, INSTANTS).
 
-    For dynamics without a continuous equivalent (poles at zero, or negative ones), the output is interpolated linearly.
+    If the dynamics have no continuous equivalent (poles at zero or on the negative real axis), the output is
+    interpolated linearly.
 
     Units: ``sample_time`` [s].
     """
@@ -74,20 +75,20 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
 
 
 class Modes(NamedTuple):
-    """Linear dynamics in modal coordinates, with one pole of each pair."""
+    """Linear dynamics in modal coordinates, with one pole of each conjugate pair."""
 
-    poles: np.ndarray  #: poles, units: shape (M,); Poles, and steady-state values for an input of one metre.
+    poles: np.ndarray  #: poles, units: shape (M,); Poles, and steady states for an input of one metre.
     units: np.ndarray
     #: shape (2 M, INSTANTS); Output [m] between the samples for the real and the imaginary part of each state.
     free: np.ndarray
-    forced: np.ndarray  #: shape (INSTANTS,); Output [m] for an input of one metre since the sample.
+    forced: np.ndarray  #: shape (INSTANTS,); Output [m] for an input of one metre held since the sample.
 
 
 @functools.lru_cache(maxsize=8)
 def modes_of(parameters: LinearParameters) -> Modes | None:
     """Return the modal form of linear dynamics; None if they have no continuous equivalent.
 
-    x(k + j) = A^j x(k) + (I - A^j) x_rest u, in modal coordinates.
+    In modal coordinates, x(k + j) = A^j x(k) + (I - A^j) x_rest u for fractions j of a sample.
     """
     model = parameters.matrices
     # poles of the real matrix: pairs are exactly conjugate, and real poles are real

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis as an ophyd-async device for bluesky: readable, movable, and flyable with the samples of its flight.
+"""An axis as an ophyd-async device for bluesky: readable, movable and flyable; a flight yields its samples.
 
 The device talks to the nodes of a running axis over ROS; it needs the extra ``bluesky``. Lengths are in the
 engineering unit of the device, µm by default.
@@ -59,7 +59,7 @@ LOOK, TELL = 0.005, 0.1
 TAKEN = 2.0
 #: The state of an axis without a problem.
 SOUND = Alarm()
-#: Part of the duration of a flight that its run-up takes, by default.
+#: Default duration of the run-up, as a fraction of the duration of the flight at constant velocity.
 RUN_UP = 0.1
 
 
@@ -76,7 +76,7 @@ class Flight:
     run_up : float, optional
         Duration of run-up and run-down, with constant acceleration [s]; a tenth of ``time_for_move`` by default.
     every : int
-        Only every n-th sample is reported, n being this number.
+        Report only every n-th sample, with n = ``every``.
     """
 
     start_position: float
@@ -98,7 +98,7 @@ class _Plan:
 
     @property
     def velocity(self) -> float:
-        """[m/s]."""
+        """Velocity between run-up and run-down [m/s]."""
         return (self.end - self.start) / self.duration
 
     @property
@@ -135,7 +135,8 @@ class HysteresisAxis(StandardReadable):
     unit : str
         Engineering unit, a unit of length.
     tolerance : float, optional
-        A move has arrived after the dwell time within this distance [unit]; by default that of the axis.
+        A move is complete when the position has stayed within this distance of the target [unit] for the dwell time;
+        by default the tolerance of the axis.
     timeout : float
         Time-out of a move in addition to its duration [s].
     """
@@ -174,7 +175,7 @@ class HysteresisAxis(StandardReadable):
         timeout : float
             Time-out [s].
         force_reconnect : bool
-            Also if it is connected.
+            Connect again, even if the device is connected.
         """
         await super().connect(mock, timeout, force_reconnect)
         if mock or (self._link is not None and not force_reconnect):
@@ -224,7 +225,7 @@ class HysteresisAxis(StandardReadable):
         return {"setpoint": await self.setpoint.get_value(), "readback": await self.readback.get_value()}
 
     def _require_position(self, value: float, what: str) -> float:
-        """Return a position [m]; refuse one out of the range."""
+        """Return a position in metres; refuse a position that is out of range."""
         low, high = self.settings.low / self.settings.metres, self.settings.high / self.settings.metres
         if not low <= value <= high:
             raise HysteresisError(
@@ -241,12 +242,12 @@ class HysteresisAxis(StandardReadable):
         value : float
             Position [unit].
         timeout : float, optional
-            [s]; by default that of the device.
+            Time-out [s], in addition to the duration of the move; by default the time-out of the device.
 
         Raises
         ------
         HysteresisError
-            The position is out of the range, the axis has tripped or is silent, or the move did not arrive.
+            The position is out of range, the axis has tripped or is silent, or it did not arrive.
         """
         return WatchableAsyncStatus(self._move(value, timeout))
 
@@ -267,7 +268,7 @@ class HysteresisAxis(StandardReadable):
             self._moving = False
 
     async def _arrival(self, target: float, initial: float, allowed: float) -> AsyncIterator[WatcherUpdate]:
-        """Wait until a move [m] has arrived, at most for a time [s], and report its progress."""
+        """Wait at most ``allowed`` [s] until the axis has arrived at ``target`` [m], and report the progress."""
         link, settings = self._connected(), self.settings
         begun = told = time.monotonic()
         inside: float | None = None
@@ -303,7 +304,7 @@ class HysteresisAxis(StandardReadable):
             raise HysteresisError(f"{self.name}: the axis has stopped or is silent; see `hysteresis status`")
 
     async def stop(self, success: bool = True) -> None:
-        """Stop a motion in progress, which then fails; at rest nothing is sent, as at the end of every plan."""
+        """Stop a motion in progress, which then fails; at rest, as at the end of every plan, send nothing."""
         if self._moving or self._connected().flying:
             self._stopped = True
             self._connected().axis.stop()
@@ -315,13 +316,13 @@ class HysteresisAxis(StandardReadable):
         Parameters
         ----------
         value : Flight
-            Or any object with ``start_position``, ``end_position`` and ``time_for_move``, as ophyd-async's
-            ``FlyMotorInfo``.
+            The flight, or any object with ``start_position``, ``end_position`` and ``time_for_move``, such as
+            ophyd-async's ``FlyMotorInfo``.
 
         Raises
         ------
         HysteresisError
-            A position is out of the range, or the flight is too fast for the limits of the approach.
+            A position is out of range, or the flight exceeds the velocity or acceleration limit of the approach.
         """
         plan = self._planned(value)
         begin = plan.ends[0] / self.settings.metres
@@ -356,7 +357,7 @@ class HysteresisAxis(StandardReadable):
 
     @AsyncStatus.wrap
     async def kickoff(self) -> None:
-        """Begin the flight; finishes when the axis has accepted it."""
+        """Begin the flight, and finish when the axis has accepted it."""
         link, plan = self._connected(), self._plan
         if plan is None:
             raise HysteresisError(f"{self.name}: call prepare() before kickoff()")

@@ -9,13 +9,13 @@
 
 """Actuators of other classes than the models of the package, to test identification and design.
 
-voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement; the lag is at one of the two places.
+voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement; there is only one of the two lags.
 The chain is integrated on a grid finer than the samples, with the voltage held during each sample; the displacement
 between the samples is therefore known, too. With s the voltage as a fraction of its range, the types of hysteresis are
 
 * ``play``: generalised play operators with different curves for rising and falling, and thresholds that widen with the
   speed of the input [1],
-* ``preisach``: a Preisach operator, in Krejčí's form Σ q(r, z_r) of the play operators z_r, q nonlinear in z [2],
+* ``preisach``: a Preisach operator in Krejčí's form Σ q(r, z_r), with play operators z_r, and q nonlinear in z_r [2],
 * ``bouc_wen``: y = d(s) − h, h' = α s' − β |s'| h − γ s' |h| [3],
 * ``duhem``: y' = a |s'| (f(s) − y) + g s' (Coleman & Hodgdon) [4].
 
@@ -149,7 +149,7 @@ def bouc_wen(p, x, s):
         way = abs(change)
         forwards = 1.0 if change > 0.0 else -1.0
         h = forwards * x[OPENING]
-        if h < 0.0:  # h' = α - (β - γ) h per way forwards, until h is 0
+        if h < 0.0:  # h' = α - (β - γ) h, with h and s counted along the motion, until h is 0
             decay = p[TURN] - p[SKEW]
             to_zero = elementary.log1p(-h * decay / p[SWING]) / decay
             done = min(way, to_zero)

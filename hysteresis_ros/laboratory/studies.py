@@ -48,7 +48,7 @@ def compare(
     workers : int, optional
         Processes that share the work; by default as many as there are processors.
     progress : callable, optional
-        Called with a text after each finished part.
+        Called with a text after each finished part of the work.
     namespace : str, optional
         Name of the axis, if the configuration contains several.
     **conditions

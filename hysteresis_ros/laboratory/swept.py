@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hr.sweep``: a sweep from a script, as by ``hysteresis sweep``."""
+"""``hr.sweep``: the command ``hysteresis sweep`` as a function for scripts."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ __all__ = ["Swept", "sweep"]
 class Swept(Summary):  # numpydoc ignore=PR01
     """Result of a sweep; ``print`` shows the lines of ``hysteresis sweep``.
 
-    ``results.parameters`` and ``results.metrics`` are arrays by name with one value per run [SI]; ``yield_`` is the
-    share of runs that meet all bounds, and ``met`` states for each run whether it does; ``sensitivities`` contains the
-    requested sensitivities.
+    ``results.parameters`` and ``results.metrics`` map names to arrays with one value per run [SI]. ``yield_`` is the
+    fraction of runs that meet all bounds, and ``met`` states for each run whether it meets them. ``sensitivities``
+    contains the requested sensitivities.
     """
 
     def __str__(self) -> str:
@@ -79,7 +79,7 @@ def sweep(
     workers : int, optional
         Processes; by default as many as there are processors.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers execute the runs instead.
+        Address of a Dask scheduler; its workers execute the runs instead of local processes.
     progress : callable, optional
         Called with the number of finished runs.
     namespace : str, optional

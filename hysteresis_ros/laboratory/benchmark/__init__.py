@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A benchmark of models of hysteresis, those of the package and others, on public recordings and synthetic plants.
+"""A benchmark of hysteresis models, from the package and from users, on public recordings and synthetic plants.
 
-Start with ``manifest`` (the recordings, and their parts for fit and test) and ``models`` (the contract ``fit`` and
-``predict``, the models of the package, and simple models to compare with). ``synthetic`` has the plants with a known
-truth, ``judging`` fits and judges one model on one recording, and ``table`` prints all results.
+Start with ``manifest`` (the recordings, and their parts for fit and test) and ``models`` (the interface ``fit`` and
+``predict``, the models of the package, and simple models for comparison). ``synthetic`` makes recordings of plants with
+known parameters, ``judging`` fits and evaluates one model on one recording, and ``table`` prints all results.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One model on one recording: fitted and run in its own process, then evaluated on the unseen test part."""
+"""Fit of one model to one recording, in a separate process, and evaluation of the model on the test part."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.benchmark.models import load_model
 
-#: Resamplings and seed of an interval, and its two ends as fractions.
+#: Number of resamplings for a confidence interval, their seed, and the quantiles that are the ends of the interval.
 RESAMPLINGS, SEED, ENDS = 1000, 1, (0.025, 0.975)
-#: First part of the test input, and tolerance [fraction of the stroke]: without the remaining input the prediction for
-#: this part must not change by more.
+#: Test of causality: first fraction of the test input, and largest change of its prediction [fraction of the stroke]
+#: when the model does not get the remaining input.
 SHOWN, SAME = 0.6, 1e-6
 
 
@@ -41,7 +41,7 @@ class Row:
     unit: str = "m"
     stroke: float = math.nan  #: Peak-to-peak output of the judged samples.
     error: float = math.nan  #: RMS error over the judged samples.
-    low: float = math.nan  #: low, high: 95 % interval of this error.
+    low: float = math.nan  #: low, high: 95 % interval of the RMS error.
     high: float = math.nan
     maximum: float = math.nan  #: Largest absolute error.
     parameters: int | None = None  #: Number of fitted parameters, if the model reports it.
@@ -67,7 +67,7 @@ class Answer:
 
 
 def answer(spec: str, train: IdentificationData, test_input: np.ndarray) -> Answer | str:
-    """Fit a model and predict, given only the input of the test; return the reason as text if this fails."""
+    """Fit a model, and predict the output of the test from its input; return the reason as text if this fails."""
     np.random.seed(SEED)  # for models that use the global generator
     begun = time.process_time()
     try:
@@ -76,7 +76,7 @@ def answer(spec: str, train: IdentificationData, test_input: np.ndarray) -> Answ
         whole = np.array(fitted.predict(test_input.copy()), dtype=float)
         ended = time.process_time()
         shown = np.array(fitted.predict(test_input[: round(SHOWN * len(test_input))].copy()), dtype=float)
-    except Exception as error:  # a model of anyone
+    except Exception as error:  # a user's model may raise anything
         return f"{type(error).__name__}: {error}"
     count = getattr(fitted, "parameter_count", None)
     return Answer(whole, shown, None if count is None else int(count), between - begun, ended - between)
@@ -121,8 +121,8 @@ def judge(spec: str, task: Task, returned: Answer | str) -> Row:
 def interval(error: np.ndarray) -> tuple[float, float]:
     """Return the 95 % interval of an RMS error by resampling blocks of its squares.
 
-    A block is longer than the correlation of the squares: twice their integrated correlation time (Künsch, Annals of
-    Statistics 17(3), 1989, on blocks; Sokal, 1997, on the time), and at most a tenth of the samples.
+    A block lasts twice the integrated correlation time of the squares, and at most a tenth of the samples (Künsch,
+    Annals of Statistics 17(3), 1989, on blocks; Sokal, 1997, on the correlation time).
     """
     squares = np.asarray(error, dtype=float) ** 2
     count = len(squares)

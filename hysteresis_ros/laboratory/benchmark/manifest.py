@@ -52,7 +52,7 @@ SAME_RATE, TURNS = 1e-3, 2
 
 @dataclass(frozen=True)
 class Part:
-    """Samples of a file, ``first … last - 1``; ``last`` None: all."""
+    """Samples ``first … last - 1`` of a file; ``last`` None: up to its end."""
 
     file: str
     sha256: str
@@ -80,7 +80,7 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One recording, ready for the benchmark: data for the fit, and a test; of the test a model sees only the input.
+    """One recording, ready for the benchmark: data for the fit and for the test; a model gets only the test's input.
 
     The test begins at sample ``first`` of ``test``; the samples before ``first`` determine the state at this sample and
     are not judged.
@@ -126,7 +126,7 @@ def shipped_manifest() -> pathlib.Path:
 
 
 def load_manifest(path) -> tuple[Entry, ...]:
-    """Return the recordings of a manifest; a wrong key or value is refused by its name."""
+    """Return the recordings of a manifest; the message about a wrong key or value names it."""
     path = pathlib.Path(path)
     try:
         content = read_yaml(read_text(path))

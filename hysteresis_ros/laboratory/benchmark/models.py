@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The contract of a model in the benchmark, the models of the package behind it, and models from other files."""
+"""The interface of a model in the benchmark; models of the package, simple models and users' models implement it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.models.hysteresis import MODELS
 
 
 class Line:
-    """Output proportional to the input, plus a constant, by least squares: a stage taken as linear."""
+    """A straight line, fitted by least squares: the stage is assumed to be linear."""
 
     parameter_count = 2
 
@@ -44,7 +44,7 @@ class Line:
         return self.gain * input + self.constant
 
 
-#: Number of plays of the classical model.
+#: Number of play operators of the classical model.
 PLAYS = 20
 
 
@@ -72,7 +72,7 @@ class ClassicalPrandtlIshlinskii:
         self.thresholds = half * np.arange(PLAYS) / PLAYS
         found = plays(data.input, self.thresholds)
         ones = np.ones((len(found), 1))
-        # all weights are ≥ 0, so a column for each sign of the constant, and the sign of the gain as a factor
+        # nnls finds only weights ≥ 0: the constant has one column per sign, and the sign of the gain is a factor
         self.sign = 1.0 if np.polyfit(data.input, data.output, 1)[0] >= 0 else -1.0
         scale = float(np.ptp(data.output)) or 1.0
         weights, _ = nnls(np.hstack([found / half, ones, -ones]), self.sign * data.output / scale)
@@ -87,19 +87,19 @@ class ClassicalPrandtlIshlinskii:
 
 #: Tried numbers of delayed outputs and inputs, and tried ridge parameters, relative to the mean square.
 ORDERS, RIDGE = ((1, 1), (2, 2), (3, 3), (2, 4)), (1e-10, 1e-7, 1e-4)
-#: Last part of the data of the fit, on which one of these is chosen; a free run beyond this multiple has diverged.
+#: Last fraction of the fit data, which selects orders and ridge; scaled output beyond which a free run has diverged.
 HELD_OUT, DIVERGED = 0.25, 10.0
 
 
 class Narx:
-    """A polynomial of delayed outputs and inputs, fitted to one step ahead by least squares, run freely.
+    """A polynomial of delayed outputs and inputs; the fit is one step ahead by least squares, the prediction runs free.
 
     The regressors are the delayed outputs and inputs, the change of the input and its absolute value, and all products
     of two of them. Orders and ridge are chosen by the error of a free run on the last quarter of the data.
     """
 
     def fit(self, data: IdentificationData) -> Narx:
-        """Fit all orders; keep the order with the best free run."""
+        """Fit all orders with all ridge parameters; keep the combination with the best free run."""
         self.middle = float(np.mean(data.input)), float(np.mean(data.output))
         self.scale = 0.5 * float(np.ptp(data.input)) or 1.0, 0.5 * float(np.ptp(data.output)) or 1.0
         u, y = self._scaled(data.input), (data.output - self.middle[1]) / self.scale[1]
@@ -158,7 +158,7 @@ class Narx:
         """Return the free run, shape (N,), from rest."""
         u = self._scaled(input)
         begin = max(self.orders)
-        # at rest before the first sample: the input has always been its first value
+        # at rest before the first sample: the input was constant, equal to its first value
         led = np.concatenate([np.full(begin, u[0]), u])
         rest = np.full(begin, self._resting(u[0]))
         free = self._run(led, np.concatenate([rest, np.empty(len(u))]), self.orders, self.weights)[begin:]
@@ -288,17 +288,17 @@ class Fitted(Protocol):
         Parameters
         ----------
         input : ndarray, shape (N,)
-            In the unit of the data of the fit, with the same sample time.
+            Input, with the unit and the sample time of the fit data.
 
         Returns
         -------
         ndarray, shape (N,)
-            In the unit of the output. Sample k may depend on the inputs up to sample k only.
+            Output, in the unit of the fit data. Sample k may depend only on the inputs up to sample k.
         """
 
 
 class Model(Protocol):
-    """A model before its fit; it is made without arguments."""
+    """A model before its fit; its class is called without arguments."""
 
     def fit(self, data: IdentificationData) -> Fitted:
         """Fit the model; it may return itself.
@@ -306,7 +306,7 @@ class Model(Protocol):
         Parameters
         ----------
         data : IdentificationData
-            ``time`` [s], ``input``, ``output``, ``sample_time`` [s], ``input_unit`` and ``output_unit``; a model sees
+            ``time`` [s], ``input``, ``output``, ``sample_time`` [s], ``input_unit`` and ``output_unit``; a model gets
             nothing else of the recording.
 
         Returns
@@ -332,14 +332,14 @@ class PackageModel:
         return self.found.predict(input)
 
 
-#: The simple models to compare with.
+#: Simple models for comparison.
 SIMPLE: dict[str, Callable[[], Any]] = {
     "line": Line,
     "classical_pi": ClassicalPrandtlIshlinskii,
     "narx": Narx,
     "gru": GatedRecurrentUnit,
 }
-#: The models of a run without ``--model``.
+#: Models that are compared if ``--model`` is not given.
 COMPARED = (USUAL, *SIMPLE)
 
 
@@ -359,7 +359,7 @@ def load_model(spec: str):
     Raises
     ------
     HysteresisError
-        There is no such model; the message states why.
+        There is no such model, or it cannot be loaded; the message states the reason.
     """
     if ":" in spec:
         return _foreign(spec)
@@ -386,7 +386,7 @@ def _foreign(spec: str):
         else:
             module = importlib.import_module(place)
         model = getattr(module, name)()
-    except Exception as error:  # whatever the file of a user raises
+    except Exception as error:  # a user's file may raise anything
         raise HysteresisError(f"--model {spec}: cannot be loaded: {type(error).__name__}: {error}") from None
     if not callable(getattr(model, "fit", None)):
         raise HysteresisError(f"--model {spec}: has no method fit(data); see docs/benchmark.md")

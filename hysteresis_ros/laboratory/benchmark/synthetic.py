@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Synthetic recordings with a known truth: stages of other classes than the models of the package.
+"""Synthetic recordings of stages that belong to other classes than the models of the package, with a known truth.
 
-The plants are those of :mod:`hysteresis_ros.laboratory.foreign`, drawn at random. The fit gets a recording with the
-converter's steps and the sensor's noise. The test has another input, and the prediction is judged against the
+The plants are those of :mod:`hysteresis_ros.laboratory.foreign`, drawn at random. The recording for the fit contains
+the converter's quantisation and the sensor's noise. The test has another input, and the prediction is compared with the
 displacement without noise.
 """
 
@@ -30,7 +30,7 @@ DURATION, LEAD = 4.0, 0.5
 
 
 def test_voltage(seed: int, bench: Bench) -> np.ndarray:
-    """Return the voltage of the test [V]: loops of random turning points, then steps, within 5 … 95 % of the range."""
+    """Return the voltage of the test [V]: loops between random points, then steps, within 5 … 95 % of the range."""
     random = np.random.default_rng((seed, 4))
     rate, span = bench.sample_rate, bench.voltage
     samples = round(0.75 * DURATION * rate)
@@ -46,7 +46,7 @@ def test_voltage(seed: int, bench: Bench) -> np.ndarray:
 def synthetic_task(seed: int, noise: float = 5e-9) -> Task:
     """Return the recordings of a plant.
 
-    Units: ``noise`` standard deviation of the sensor [m]. The seed determines the class of the plant's hysteresis.
+    Units: ``noise`` [m], the standard deviation of the sensor noise. The seed determines the class of the plant's hysteresis.
     """
     bench = Bench(noise=noise)
     plant = drawn(seed, bench)

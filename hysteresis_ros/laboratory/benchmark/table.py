@@ -40,7 +40,7 @@ LOWEST, HIGHEST = 1e-3, 100.0
 
 
 def cells(row: Row) -> list[str]:
-    """Return the cells of a row under :data:`HEADINGS`; without an error the second one is the problem."""
+    """Return the cells of a row under :data:`HEADINGS`; if there is no error, the second cell is the problem."""
     if math.isnan(row.error):
         return [row.model, row.problem, *[""] * (len(HEADINGS) - 2)]
     return [

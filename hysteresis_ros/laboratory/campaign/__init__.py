@@ -9,6 +9,6 @@
 
 """``hysteresis faults``: fault cases on a separate axis, in a ROS domain that nothing else uses.
 
-``run`` executes the cases with the functions of ``actions``; ``rig`` is the axis with its surroundings, ``witness``
-observes the axis.
+``run`` executes the cases with the functions of ``actions``; ``rig`` contains the axis and its test equipment;
+``witness`` observes the axis.
 """

@@ -100,13 +100,13 @@ def _again(rig: Rig, victims) -> None:
     rig.notes.append(f"active {time.monotonic() - begun:.1f} s after its restart")
 
 
-#: Keeps a core busy.
+#: Program that keeps one core busy.
 BURN = "while True: sum(range(100000))"
 #: Used fraction of a small disk at which it counts as full, and the time that is observed afterwards [s].
 FILLED, AFTERWARDS = 0.75, 3.0
 #: Time in which a small disk becomes full [s].
 FULL = 60.0
-#: Longest part that may be missing at the end of an interrupted recording [s], and its length before the interruption.
+#: Longest time that may be missing at the end of an interrupted recording, and its length before the interruption [s].
 LOST, RECORDED = 1.5, 2.0
 #: Jumps of the time of day [s], and the time between them [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
@@ -162,9 +162,8 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    missing = (
-        run.metadata["missing_samples"] if rig.way == FUSED else 0
-    )  # on a busy machine messages may be late, and samples missing
+    # separate nodes send samples as messages, which may be lost on a busy machine
+    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0
     if lost > LOST or missing:
         rig.broken.append(f"the recording lacks its last {lost:.2f} s, and {missing} samples before them")
 
@@ -179,7 +178,7 @@ def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Inject a fault into a device, and wait until it ends.
+    """Inject a fault into a device, and wait until the fault ends.
 
     Units: ``amount`` [s].
     """
@@ -239,7 +238,7 @@ STEADY = 50
 COMMANDED = 3.0
 #: Exit code and message of nodes that find other nodes with the same names.
 REFUSED, ONE_MASTER = 2, "one axis has one master"
-#: Values that every numerical parameter refuses.
+#: Values that are invalid for every numerical parameter.
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
@@ -302,7 +301,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Change parameters while the axis moves, slightly or to invalid values; restore all of them at the end."""
+    """Change parameters slightly or to invalid values while the axis moves; restore all of them at the end."""
     nodes = ("motion_controller", "hysteresis_compensator", "plant_simulator")
     before = {node: _numbers(rig, node) for node in nodes}
     refused = unanswered = 0
@@ -323,7 +322,7 @@ def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def _numbers(rig: Rig, node: str) -> dict[str, float]:
-    """Return the numerical parameters of a node that may change."""
+    """Return the numerical parameters of a node that are not zero and accept a change."""
     listed = rig.witness.call(ListParameters, f"{node}/list_parameters")
     names = list(listed.result.names) if listed is not None else []
     values = rig.witness.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
@@ -335,7 +334,7 @@ def _numbers(rig: Rig, node: str) -> dict[str, float]:
 
 
 def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
-    """Set parameters together; return whether they were accepted; None if there was no answer."""
+    """Set parameters together; return whether the node accepted them, or None if it did not answer."""
     request = SetParametersAtomically.Request()
     request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     answer = rig.witness.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)

@@ -25,8 +25,8 @@ from hysteresis_ros.loop.reach import single_axis
 CROSSING = 0.25
 #: Setpoints, as fractions of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
-#: Fraction of the stroke by which the displacement may leave the range between rest and setpoints. In addition it may
-#: leave this range by the motion at the slew rate while voltages are late and the plant has not yet tripped.
+#: Fraction of the stroke by which the displacement may leave the range between rest and setpoints. While voltages are
+#: late and the plant has not yet tripped, the axis may in addition continue to move at the slew rate.
 BEYOND = 0.1
 #: Fraction of the stroke within which a setpoint counts as reached.
 REACHED = 0.02
@@ -48,8 +48,8 @@ class Bounds:
     low: float  #: low, high: Setpoints [m].
     high: float
     stroke: float  #: Range from the lowest to the highest reference [m].
-    #: Times by :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], including the return to the safe
-    #: voltage.
+    #: Longest time until the voltage is safe [s], for each name in
+    #: :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS`.
     timeouts: dict[str, float]
     #: Largest distance of the displacement from the range between rest and setpoints, as a fraction of the stroke.
     beyond: float
@@ -123,7 +123,7 @@ class Samples:
     stamp: np.ndarray  #: shape (N,); Stamp of the sample [s].
     voltage: np.ndarray  #: voltage, displacement: shape (N,); Output voltage [V] and displacement [m] of the plant.
     displacement: np.ndarray
-    #: shape (N,); Number of restarts of the plant; a restarted plant does not know its previous voltage.
+    #: shape (N,); Number of restarts of the plant; the slew rate is not limited across a restart.
     life: np.ndarray
 
     @classmethod
@@ -144,19 +144,19 @@ class Samples:
 
 @dataclass(frozen=True)
 class Trace:
-    """Record of one fault case, executed once in one way of running."""
+    """Record of one fault case that was executed once, in one way of running."""
 
     mishap: str
     way: str
     amount: float  #: Amount of the action.
     load: float  #: Load of the machine (runnable processes).
-    #: begun, ended, recovered: Begin and end, and time at which the axis followed a setpoint again [s]; NaN: it did
-    #: not.
+    #: begun, ended, recovered: Begin and end of the fault, and time at which the axis followed a setpoint again [s];
+    #: NaN: it did not.
     begun: float
     ended: float
     recovered: float
     asked: tuple[float, float]  #: Lowest and highest setpoint, including the rest position [m].
-    samples: Samples  #: Samples from shortly before the fault to the recovery.
+    samples: Samples  #: Samples from the beginning of the fault to the recovery.
     #: Other violations: processes that died, tracebacks, unanswered calls.
     broken: tuple[str, ...] = ()
     said: str = ""  #: Most severe message of the nodes on ``/diagnostics``.
@@ -168,8 +168,8 @@ class Trace:
         return replace(self, samples=samples.between(self.begun, last))
 
 
-#: Largest difference between the safe voltage and the voltage for a safe command, because of the inverse [fraction of
-#: the range].
+#: Largest difference between the safe voltage and the voltage that the inverse calculates for a safe command [fraction
+#: of the range].
 COMMANDED = 0.1
 #: Tolerance of comparisons, for rounding errors.
 ROUNDING = 1e-9
@@ -181,12 +181,13 @@ class Figures:
 
     lowest: float  #: lowest, highest: Output voltages of the plant [V].
     highest: float
-    step: float  #: Ratio of the largest change of the voltage between two samples to the allowed one.
+    step: float  #: Ratio of the largest change of the voltage between two samples to the allowed change.
     #: Largest distance of the displacement from the range between rest and setpoints, as a fraction of the stroke.
     beyond: float
-    #: Time from the beginning until the voltage was and stayed safe [s]; NaN if not required, infinite if it was not.
+    #: Time from the beginning of the fault until the voltage was safe and stayed so [s]; NaN: not required; infinite:
+    #: never.
     safe: float
-    recovery: float  #: Time from the end until the axis followed a setpoint again [s]; infinite: it did not.
+    recovery: float  #: Time from the end of the fault until the axis followed a setpoint again [s]; infinite: never.
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ class Verdict:
 
     trace: Trace
     figures: Figures
-    failures: tuple[str, ...]  #: Violated claims; empty: all held.
+    failures: tuple[str, ...]  #: Violated claims; empty: all claims held.
 
 
 def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> float:
@@ -222,7 +223,7 @@ def time_to_safe(samples: Samples, begun: float, ended: float, bounds: Bounds, p
 
 
 def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
-    """Return the figures of a fault case."""
+    """Return the figures of a fault case and its violated claims."""
     samples = trace.samples
     voltage = samples.voltage if samples.time.size else np.array([math.nan])
     low, high = trace.asked
@@ -266,7 +267,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
 
 
 def worst(verdicts: list[Verdict]) -> Figures:
-    """Return the worst of several figures."""
+    """Return the worst figures of several verdicts."""
     found = [verdict.figures for verdict in verdicts]
     safe = [figures.safe for figures in found if not math.isnan(figures.safe)]
     return Figures(

@@ -20,7 +20,7 @@ FUSED, COMPOSED, PROCESSES = WAYS = ("fused", "composed", "processes")
 #: Ways in which the nodes exchange messages.
 MESSAGES = (COMPOSED, PROCESSES)
 
-#: Names of the time-outs after which the voltage goes to safe.
+#: Names of the time-outs after which the voltage goes to its safe value.
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
 #: What surrounds an axis in a test: a relay of its measurements, a nearly full disk, a device instead of the simulated
@@ -40,21 +40,22 @@ ALWAYS = (
 class Mishap:
     """One fault case."""
 
-    name: str  #: Name for its selection.
+    name: str  #: Name by which the case is selected.
     group: str  #: Heading in the page.
     done: str  #: Description of the action.
-    claim: str  #: Required behaviour beyond :data:`ALWAYS`; empty: none.
+    claim: str  #: Required behaviour beyond :data:`ALWAYS`; empty: nothing more.
     action: str  #: Name of the action in ``laboratory/campaign/actions.py``.
     victim: str = ""  #: Target: a node or a topic.
     amounts: tuple[float, ...] = (0.0,)  #: Amounts of the action, in its unit; each is executed once.
     ways: tuple[str, ...] = WAYS  #: Entries of :data:`WAYS` to which the case applies.
     elsewhere: str = ""  #: Why the case does not apply to the other ways.
-    #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out plus the time of its return; empty: no
-    #: such requirement.
+    #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out plus the time of its return to the safe
+    #: value; empty: no such requirement.
     safe: str = ""
     #: Whether the displacement must stay between rest and setpoints, within a tolerance.
     bounded: bool = True
-    #: One of :data:`hysteresis_ros.loop.faults.FAULTS`, for fused nodes; empty: the action, as for other nodes.
+    #: Fault that a fused axis injects itself, one of :data:`hysteresis_ros.loop.faults.FAULTS`; empty: the action
+    #: causes the fault, as with nodes that exchange messages.
     fault: str = ""
     graph: str = ""  #: One of :data:`GRAPHS`, or empty; a fault case shares its axis only with cases of the same graph.
     rate: float = 0.0  #: Sample rate [Hz]; 0: that of the campaign.
@@ -87,7 +88,7 @@ _KILLED = {
 #: Nodes that are lost, each with the time-out after which the voltage becomes safe; sample rates of these cases [Hz].
 _LOST = {"motion_controller": COMMAND, "hysteresis_compensator": VOLTAGE, "reference_generator": MEASUREMENT}
 LOSS_RATES = (10.0, 200.0, 3000.0)
-#: [s]
+#: Durations for which a process is suspended [s].
 STOPPED = (0.05, 0.3, 1.0, 3.0)
 
 
@@ -322,7 +323,7 @@ CATALOGUE: dict[str, Mishap] = {
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Mishap, ...]:
-    """Return the fault cases of these names or groups, in the order of the catalogue; without names all of them."""
+    """Return the fault cases with these names or groups, or all if none is given, in the order of the catalogue."""
     groups = {mishap.group for mishap in CATALOGUE.values()}
     for name in names:
         if name not in CATALOGUE and name not in groups:

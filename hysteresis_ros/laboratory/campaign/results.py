@@ -30,11 +30,11 @@ from hysteresis_ros.laboratory.campaign.mishaps import ALWAYS, Mishap
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of the figures."""
+    """Conditions under which the figures were obtained."""
 
     date: str
     machine: str  #: System, processors, versions.
-    load: float  #: Runnable processes, mean of a minute.
+    load: float  #: Number of runnable processes, averaged over one minute.
     transports: str  #: Transports of DDS, from the environment.
 
 
@@ -77,7 +77,7 @@ class Results:
         return Results(self.config, other.verdicts + self.verdicts, first, last)
 
     def save(self, path: pathlib.Path) -> None:
-        """Write the results as JSON; samples are left out, only their figures are written."""
+        """Write the results as JSON, with the figures but without the samples."""
         rows = [
             {"figures": asdict(one.figures), "failures": one.failures, "trace": _without_samples(one.trace)}
             for one in self.verdicts
@@ -91,7 +91,7 @@ def _without_samples(trace: Trace) -> dict:
 
 
 def load_results(path: pathlib.Path) -> Results:
-    """Read a file of :meth:`Results.save`."""
+    """Read a file written by :meth:`Results.save`."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         verdicts = tuple(

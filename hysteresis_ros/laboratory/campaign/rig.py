@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fixture of a campaign: an axis in separate processes, its surroundings, and its observer.
+"""The fixture of a campaign: an axis in separate processes, its test equipment, and its observer.
 
-Each process can be killed, suspended and started separately. The surroundings are an emulated device with faults, a
-nearly full disk, and an adjustable time of day.
+Each process can be killed, suspended and started separately. The test equipment is an emulated device with faults, a
+nearly full disk, or an adjustable time of day.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.recordings.align import read_recording
 
-#: Name of the process that contains all nodes, and of the recorder of nodes that exchange messages.
+#: Name of the process that contains all nodes, and of the separate recorder of nodes that exchange messages.
 AXIS, RECORDER = "hysteresis_axis", "recorder"
 
 #: Number of last printed words that a report about an ended process quotes.
@@ -97,7 +97,7 @@ class Group:
         return self._processes[name].pid
 
     def end(self, name: str) -> int | None:
-        """End a process as Ctrl-C does; return its exit code, None when it had to be killed."""
+        """End a process as Ctrl-C does; return its exit code, or None if it had to be killed."""
         self._ended.add(name)
         process = self._processes[name]
         process.send_signal(signal.SIGCONT)
@@ -123,7 +123,7 @@ class Group:
         return found
 
     def printed(self, since: int = 0) -> str:
-        """Return the output of the processes."""
+        """Return the output of the processes from byte ``since`` of the log."""
         with open(self.log, "rb") as log:
             log.seek(since)
             return log.read().decode("utf-8", "replace")
@@ -136,9 +136,8 @@ class Group:
             if self._processes[name].poll() is not None:
                 continue
             code = self.end(name)
-            if code and not (
-                code == 1 and self._prefix
-            ):  # with a full disk the recorder exits with code 1: its recording is incomplete
+            # with a full disk, exit code 1 is expected: the recording is incomplete
+            if code and not (code == 1 and self._prefix):
                 last = " ".join(self.printed().split()[-LAST_WORDS:])
                 found.append(f"{name} ended with exit code {code}: {last}")
             elif code is None:
@@ -146,7 +145,7 @@ class Group:
         return found
 
 
-#: Largest file of a process on a small disk [KiB].
+#: Largest size of a file on the small disk [KiB].
 ROOM = 1024
 #: Time in which an emulated device starts, and polling interval [s].
 DEVICE_START, DEVICE_LOOK = 60.0, 0.05
@@ -193,11 +192,11 @@ class Clock:
             file.write(struct.pack("q", offset))
 
     def close(self) -> None:
-        """Remove the file that contains the offset."""
+        """Do nothing; the campaign removes the folder with the offset's file."""
 
 
 class Device:
-    """An emulated controller with a plant inside, instead of the simulated plant."""
+    """An emulated controller with its own plant, which replaces the simulated plant."""
 
     def __init__(self, config: str):
         with socket.socket() as probe:
@@ -220,15 +219,15 @@ class Device:
             return probe.connect_ex(("127.0.0.1", self._port)) == 0
 
     def driven(self, axis: AxisParameters) -> AxisParameters:
-        """Return an axis with this device."""
+        """Return the axis with this device as its plant."""
         plant = axis.plant_simulator
         back = (plant.limits.maximum - plant.limits.minimum) / plant.safe_slew_rate
         plant, given = replace(plant, driver="gcs"), {"port": self._port, "safe_time": back}
-        own: dict[str, Any] = {"gcs": replace(plant.driver_parameters, **given)}  # the group that the driver declares
+        own: dict[str, Any] = {"gcs": replace(plant.driver_parameters, **given)}  # parameters that the driver declares
         return replace(axis, plant_simulator=replace(plant, **own))
 
     def go_wrong(self, fault: str, seconds: float) -> None:
-        """Start a fault."""
+        """Start a fault that lasts for ``seconds``."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{fault}:0:{seconds:g}\n")
         self._process.stdin.flush()
@@ -336,7 +335,7 @@ class Rig:
         names = nodes or ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
         return all(self.witness.until(lambda node=node: self.witness.is_active(node), START) for node in names)
 
-    # -- mishaps ---------------------------------------------------------------------------------------------------
+    # -- fault cases -----------------------------------------------------------------------------------------------
 
     def endure(self, mishap: Mishap, amount: float, action) -> Trace:
         """Execute an action during a move, and return the record."""
@@ -386,7 +385,7 @@ class Rig:
         for life, bag in enumerate(self.group.bags):
             run = read_recording(bag, self.axis.namespace, further=True)
             time_ = run.time + 1e-9 * run.metadata["start_time_ns"]
-            # counts as restarts: the output of a device that does not answer is unknown
+            # a device failure counts as a restart: the output of a device that does not answer is unknown
             lives = life * len(run) + np.cumsum(run["tripped"] == DEVICE_FAILED)
             columns = (time_, run.time, run["plant_voltage"], run["displacement"], lives)
             found.append(np.vstack(columns).T)

@@ -9,9 +9,9 @@
 
 """Execution of a campaign, for each way of running and each fault case.
 
-``python -m hysteresis_ros.laboratory.campaign.run '{"config": "picma_stage", …}'`` runs one. The argument is a JSON
-object with the keys ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``rate``, ``output`` and
-``json`` (paths, or empty), and ``add`` (paths).
+``python -m hysteresis_ros.laboratory.campaign.run '{"config": "picma_stage", …}'`` runs a campaign. The argument is a
+JSON object with the keys ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``rate``, ``output``
+and ``json`` (paths, or empty), and ``add`` (paths).
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Campaign:
     rounds: int  #: Repetitions of each case, each at other random times.
     seed: int  #: Seed of the random times.
     folder: pathlib.Path  #: Folder for temporary files.
-    rate: float = 0.0  #: Sample rate [Hz] of cases without their own; 0: that of the configuration.
+    rate: float = 0.0  #: Sample rate of cases that do not set their own [Hz]; 0: that of the configuration.
 
     def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
-        """Run the campaign; return its results."""
+        """Run the campaign; return the verdicts."""
         found: list[Verdict] = []
         rates = dict.fromkeys(mishap.rate or self.rate for mishap in self.mishaps)
         for way, rate in itertools.product(self.ways, rates):
@@ -71,7 +71,7 @@ class Campaign:
 
 
 class _Series:
-    """Fault cases in one way of running; cases with the same graph share an axis as long as it recovers."""
+    """Fault cases in one way of running; cases with the same test equipment share an axis as long as it recovers."""
 
     def __init__(self, axis, way: str, config: str, folder: pathlib.Path, random: np.random.Generator):
         self._axis, self._way, self._config, self._folder, self._random = axis, way, config, folder, random
@@ -79,7 +79,7 @@ class _Series:
         self._rigs = 0
 
     def of(self, mishaps: Iterable[Mishap], rounds: int) -> Iterable[Verdict]:
-        """Run the cases; yield their records."""
+        """Run the cases; yield their verdicts."""
         todo = [(mishap, amount) for mishap in mishaps for amount in mishap.amounts for _ in range(rounds)]
         while todo:
             try:
@@ -104,7 +104,7 @@ class _Series:
                 raise HysteresisError(f"{self._way}, at the end of the axis: {'; '.join(left)}")
 
     def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
-        """Return the record of a case whose axis could not be started."""
+        """Return the verdict of a case whose axis could not be started."""
         now = time.time()
         none = Samples.of(())
         trace = Trace(
@@ -119,7 +119,7 @@ class _Series:
         return bool(np.isfinite(trace.recovered)) and mishap.graph == following.graph and not alone
 
     def _rig(self, mishap: Mishap, amount: float) -> Rig:
-        """Start an axis with the surroundings of a case."""
+        """Start an axis with the test equipment of a case."""
         self._rigs += 1
         folder, axis = self._folder / f"{self._way}{self._rigs}", self._axis
         options: dict[str, Any] = {}
@@ -144,7 +144,7 @@ NOT_HELD = 4
 
 
 def main() -> int:
-    """Run the campaign that the only argument describes; return the exit code."""
+    """Run the campaign that the JSON argument describes; return the exit code."""
     request = json.loads(sys.argv[1])
     mishaps = tuple(CATALOGUE[name] for name in request["only"])
     ways = tuple(request["ways"])

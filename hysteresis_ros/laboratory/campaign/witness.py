@@ -78,7 +78,7 @@ class Witness:
             self._places = [self._names.index(name) for name in ("voltage", place, "tripped")]
         voltage, displacement, tripped = (message.position[place] for place in self._places)
         if tripped == DEVICE_FAILED != self.tripped:
-            self.life += 1  # counts as a restart: the output of a device that does not answer is unknown
+            self.life += 1  # like a restart: the output of a device that does not answer is unknown
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self.rows.append((time.time(), stamp, voltage, displacement, self.life))
         self.tripped = tripped
@@ -105,7 +105,7 @@ class Witness:
         return True
 
     def sample(self, rate: float) -> float:
-        """Return the current sample number of an axis in real time, extrapolated from the last one of its plant."""
+        """Return the current sample number of an axis in real time, extrapolated from the plant's last diagnostics."""
         when, count = self._counted
         return count + rate * (time.time() - when) if count else 0.0
 
@@ -149,7 +149,7 @@ class Witness:
         return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def gravest(self, since: float) -> str:
-        """Return the most severe diagnostic message since a time; empty without a problem."""
+        """Return the most severe diagnostic message since a time [s]; empty if there was no problem."""
         found = [(level, text) for when, level, text in list(self.said) if when >= since and level]
         return max(found, key=lambda entry: entry[0])[1] if found else ""
 
@@ -166,12 +166,12 @@ SOURCE = "joint_states_of_plant"
 REMAP = (f"plant_simulator:joint_states:={SOURCE}",)
 #: Number of measurements per spike.
 SPIKE_EVERY = 10
-#: Joint of a foreign message.
+#: Joint in the messages of another device.
 FOREIGN = "gripper"
 
 
 class Relay:
-    """Forwards ``joint_states``, modified by :attr:`change`.
+    """Forwards ``joint_states``, with the modification that :meth:`set` selects.
 
     Units: ``stroke`` [m].
     """
