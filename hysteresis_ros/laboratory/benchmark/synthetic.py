@@ -46,7 +46,7 @@ def test_voltage(seed: int, bench: Bench) -> np.ndarray:
 def synthetic_task(seed: int, noise: float = 5e-9) -> Task:
     """Return the recordings of a plant.
 
-    Units: ``noise`` [m], the standard deviation of the sensor noise. The seed determines the class of the plant's hysteresis.
+    Units: ``noise`` [m], the standard deviation of the sensor noise. The seed determines the class of hysteresis.
     """
     bench = Bench(noise=noise)
     plant = drawn(seed, bench)

@@ -9,7 +9,7 @@
 
 """The controllers and compensators of the comparison, designed only from the models of an axis.
 
-Designs take :class:`Known`, which is made from a configuration without the section of the plant, so it cannot contain a
+Designs get a :class:`Known`. It is made from a configuration without the section of the plant, so it cannot contain a
 random plant (:mod:`hysteresis_ros.laboratory.comparison.tasks`).
 """
 
@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import single_axis
 
-#: Kinds of damping by the displacement in the order in which they are tried; then the kind for a measured force.
+#: Kinds of damping that use the displacement, in the order in which they are tried; kind that uses a measured force.
 KINDS = ("irc", "ppf")
 BY_FORCE = ("iff",)
 
@@ -55,12 +55,12 @@ def has_force(axis: AxisParameters) -> bool:
 
 
 def damped_pid(given) -> dict:
-    """Return a PID with the first kind of damping with which all loops meet the requirements of every design."""
+    """Return a PID with the first kind of damping for which all loops meet the requirements of a design."""
     return _kept(given, KINDS)
 
 
 def forced_pid(given) -> dict:
-    """Return a PID with a damping by the measured force."""
+    """Return a PID with damping that uses the measured force."""
     return _kept(given, BY_FORCE)
 
 
@@ -97,11 +97,11 @@ def _is_of(name: str, kind: str) -> bool:
 LEAST_NOISE = 1e-6
 #: Number of periods of the reference for the tuning of a PID.
 TUNING_PERIODS = 8
-#: Kinds of learning, by the name of the controller.
+#: Pairs of a controller's name and a kind of learning.
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Smallest mismatch that a design assumes.
 LEAST_MISMATCH = 1e-3
-#: Largest M_s if gain and times of the model deviate by the mismatch; same limit as for an unmodelled sample of delay.
+#: Largest M_s if gain and times of the model deviate by the mismatch; as for an unmodelled sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
@@ -222,7 +222,7 @@ class Given:
 
     @property
     def dynamics(self):
-        """The linear model of the controller; with a damping, that of the damped plant."""
+        """The linear model of the controller; if there is damping, the model of the damped plant."""
         node = self.axis.motion_controller
         return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
 

@@ -11,7 +11,7 @@
 
 There are two tables: random plants close to the configured plant, for which every candidate is designed from the models
 in the configuration; and plants of other classes than any model, for which every candidate is designed from the default
-identification of a recording. The runs have sensor noise, converters and limits; their errors are those of the true
+identification of a recording. The runs have sensor noise, converters and limits; the errors are evaluated from the true
 displacement, also between the samples.
 """
 
@@ -61,7 +61,7 @@ class Table:
     title: str
     summary: str  #: One line about stroke and plants.
     tasks: tuple[str, ...]  #: Names of the references.
-    rows: tuple[Row, ...]  #: Best first; then those without a rank, refused ones last.
+    rows: tuple[Row, ...]  #: Ranked rows, best first; then rows without a rank; then refused rows.
     yardstick: Row  #: Row of the benchmark controller.
     assumptions: tuple[str, ...]  #: Sentences about the assumptions of the table.
 
@@ -78,8 +78,8 @@ class Comparison:
     """Both tables."""
 
     conditions: Conditions
-    #: around, others: Tables of random plants close to the configured plant, and of plants of other classes; None
-    #: without draws.
+    #: around, others: Tables of random plants close to the configured plant, and of plants of other classes; None if
+    #: there are no such plants.
     around: Table | None
     others: Table | None
     configuration: Configuration  #: Configuration of the first table.
@@ -153,7 +153,7 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     by_name = [{row.name: row for row in one.rows} for one in tried]
     rows = []
     for name in dict.fromkeys(name for found in by_name for name in found):
-        # if no creep was identified, the compensator with creep is the same as the one without
+        # if no creep was identified, the compensator with creep equals the compensator without creep
         plain = name[0], name[1].removesuffix(WITH_CREEP)
         each = [row for found in by_name if (row := found.get(name, found.get(plain))) is not None]
         if len(each) == len(by_name):
@@ -244,7 +244,7 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 
 
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
-    """Return the trial on a plant of another class, and on versions of it that have drifted since its recording.
+    """Return the trial on a plant of another class, and on variants of this plant that drifted after its recording.
 
     The designs and the references depend on the recording alone. The references are within the range of the model,
     reduced by the mismatch.

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The rows of the comparison for each control law, including those of other packages.
+"""The rows of the comparison for each control law, including laws of other packages.
 
 Each row has a design: a function that takes :class:`hysteresis_ros.laboratory.comparison.candidates.Given` and returns
 the parameters of the motion controller that differ from the configuration.
@@ -62,7 +62,7 @@ def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = Non
 
 @lru_cache(maxsize=64)
 def _searched(parameters, sample_time: float, place, around: Uncertainty | None):
-    """Search once for the parameters that several compensators share; if robust, on plants around the model."""
+    """Search for the parameters, once for all compensators that share them; ``around``: on plants around the model."""
     aimed = FASTEST
     plants: tuple[PossiblePlant, ...] = ()
     if around is not None:
@@ -140,7 +140,7 @@ COMPARED: dict[str, ComparedLaw] = added({law.name: law for law in _OWN}, Compar
 
 
 def _rows() -> dict[str, tuple[ComparedLaw, Callable[[Any], dict]]]:
-    """Return law and design of each row; raise TypeError for two laws with a row of the same name."""
+    """Return law and design of each row; raise TypeError if two laws have a row with the same name."""
     found: dict[str, tuple[ComparedLaw, Callable[[Any], dict]]] = {}
     for law in COMPARED.values():
         for name, design in law.rows.items():

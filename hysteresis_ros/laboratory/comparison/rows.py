@@ -10,7 +10,7 @@
 """A candidate on a set of plants: design from known data, a run on each plant, and comparison with a benchmark.
 
 A plant of another class is treated as a user would treat it: :func:`recorded` drives the plant and measures with its
-sensor; :func:`identified` runs the default identification on this recording and the data sheets of the bench.
+sensor; :func:`identified` runs the default identification with this recording and the data sheets of the bench.
 """
 
 from __future__ import annotations
@@ -63,9 +63,8 @@ class Row:
 
     controller: str  #: controller, compensator: Names in the table.
     compensator: str
-    results: dict[str, Result] = field(
-        default_factory=dict
-    )  #: Results by name of the task; empty for a refused candidate.
+    #: Results by name of the task; empty for a refused candidate.
+    results: dict[str, Result] = field(default_factory=dict)
     delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
     refused: str = ""  #: Reason why there are no results.
     marked: str = ""  #: Unmet margins on the candidate's own model; the candidate is run and shown, but not ranked.
@@ -100,13 +99,13 @@ class Row:
 
     @property
     def order(self) -> tuple[bool, bool, float]:
-        """Sort key of rows: ranked ones first, refused ones last."""
+        """Sort key of rows: ranked rows first, refused rows last."""
         return bool(self.refused), not self.ranked, self.score
 
 
 @dataclass(frozen=True)
 class Trial:
-    """The recordings and plants on which candidates are designed and evaluated."""
+    """The data from which candidates are designed, and the plants on which they are evaluated."""
 
     given: Known  #: Data for the designs, with conditions and tasks.
     conditions: Conditions
@@ -151,7 +150,7 @@ def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows, each with the ratio of the benchmark's error to the row's own error on the row's worst plant."""
+    """Return the rows with the ratio of the benchmark's error to the row's error, both on their own worst plants."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -184,14 +183,14 @@ CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
 #: Initial size of the simplex: in the logarithm of Ki, and in Kp.
 SCALES = (3.0, 1.0)
-#: Requirements on the gains of a controller; none here, because the run on the plant itself decides.
+#: Slow model for the check of the benchmark's gains, so that the run on the plant itself decides.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
 #: Required gain margin as a factor: 6 dB.
 GAIN_MARGIN = 2.0
 
 
 def yardstick(trial: Trial) -> Row:
-    """Return the row of the benchmark: tuned on the first plant by the ranking criterion, run on all of them."""
+    """Return the row of the benchmark: tuned on the first plant by the ranking criterion, run on all plants."""
     gains = _tuned(trial)
     found = Candidate(CONTROLLER, COMPENSATOR, {f"pid.{name}": value for name, value in gains.to_mapping().items()})
     runs = {}
@@ -205,14 +204,14 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
     """Return the axis with a PI and static feedforward, V = command / gain."""
     plain = trial.given.designed(Candidate("", "", dict(UNFED)), task)
     fed, model = FeedforwardParameters(type="static"), replace(plain.motion_controller.model, dynamics=SLOW)
-    own: dict[str, Any] = {"pid": gains}  # a group that the law declares
+    own: dict[str, Any] = {"pid": gains}  # parameters that the law declares
     node = replace(plain.motion_controller, type="pid", model=model, feedforward=fed, **own)
     compensator = replace(plain.hysteresis_compensator, inverse=InverseParameters(type="none"))
     return replace(plain, motion_controller=node, hysteresis_compensator=compensator)
 
 
 def _tuned(trial: Trial) -> PidParameters:
-    """Return the gains with the smallest score on the first plant among those with the margins of a candidate on it.
+    """Return the gains with the smallest score on the first plant, provided that they have the margins of a candidate.
 
     The loop must tolerate 6 dB more gain, and one more sample of delay.
     """
@@ -307,10 +306,10 @@ def drawn(seed: int, bench: Bench) -> ForeignPlant:
 
 
 def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
-    """Return the plant, and variants of it as after a drift since its recording, at the corners and at random.
+    """Return the plant and its variants after a drift, at the corners of the deviations and at random.
 
-    Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by at most the
-    mismatch; at a corner the first three deviate by exactly the mismatch, and the creep by the same factor as the gain.
+    Gain, loop width, all times (of lag, delay and modes) and creep deviate by at most the mismatch. At a corner, the
+    first three deviate by exactly the mismatch, and the creep by the same factor as the gain.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]

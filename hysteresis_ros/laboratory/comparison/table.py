@@ -54,7 +54,7 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
 
 
 def _label_decades(axis) -> None:
-    """Label 1, 2 and 5 of each decade, or if there are many decades only 1, so that the labels do not overlap."""
+    """Label 1, 2 and 5 of each decade, or only 1 if there are many decades, so that the labels do not overlap."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
@@ -64,7 +64,7 @@ def _label_decades(axis) -> None:
 
 
 def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of errors over time, each in a panel with its own scale [% of stroke]."""
+    """Return the figure of errors [% of stroke] versus time [s], each in a panel with its own scale."""
     figure, axes = new_figure(1.9 * len(errors), 1, rows=len(errors))
     for number, (axis, (name, (time, error))) in enumerate(zip(axes, errors.items(), strict=True)):
         axis.axhline(0.0, color=_BACKGROUND, linewidth=0.8)
@@ -128,7 +128,7 @@ def delays(row: Row) -> str:
 
 
 def ranks(table: Table) -> list[str]:
-    """Return the cell of the first column: the rank, or the reason why a row has none."""
+    """Return the cells of the first column: the rank of a row, or the reason why it has no rank."""
     found, rank = [], 0
     for row in table.rows:
         rank += row.ranked
@@ -303,7 +303,7 @@ def figures(table: Table) -> list:
 
 
 def chosen_rows(table: Table) -> list[Row]:
-    """Return the rows to plot: the benchmark, the best without feedback, and the best of all."""
+    """Return the rows to plot: the benchmark, the best row without feedback, and the best row of all."""
     done = [row for row in table.rows if row.results and not row.unstable]
     found = [table.yardstick]
     for row in [row for row in done if row.controller == SHOWN][:1] + [row for row in done if row.ranked][:1]:
@@ -333,15 +333,15 @@ def best_text(comparison: Comparison) -> str:
 
 
 class Ranking(Comparison):  # numpydoc ignore=PR02
-    """Controllers and compensators in order; ``print`` shows the tables of ``hysteresis compare``.
+    """Controllers and compensators in order of rank; ``print`` shows the tables of ``hysteresis compare``.
 
     Parameters
     ----------
     conditions : Conditions
         Conditions of all runs.
     around, others : Table or None
-        Tables of random plants close to the configured plant, and of plants of other classes; None without draws. Each
-        has ``rows``, the best first.
+        Tables of random plants close to the configured plant, and of plants of other classes; None if there are no such
+        plants. Each has ``rows``, the best first.
     configuration : Configuration
         Configuration of the first table.
     """

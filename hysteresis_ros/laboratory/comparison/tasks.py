@@ -121,7 +121,7 @@ class Task:
         return self.settling + np.ceil(max(JUDGED * self.frequency, JUDGED_PERIODS)) / self.frequency
 
     def overrides(self) -> dict:
-        """Return the parameters of the reference generator; both references begin at their lower end, its setpoint."""
+        """Return the parameters of the reference generator; both references begin at the setpoint, their lower end."""
         half = 0.5 * (self.high - self.low)
         values = {
             "minimum": min(self.low, 0.0) - half,
@@ -247,7 +247,7 @@ class _ForeignInLoop(ActuatorPlant):
     """An actuator with hysteresis, creep and dynamics of another class, in one block."""
 
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
-        # this block contains the creep and the dynamics; the creep and the dynamics in the file are only models of them
+        # the block below contains creep and dynamics; those in the file are only models
         super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
         block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # instead of a hysteresis
         chain = self.actuator
@@ -259,8 +259,8 @@ class _ForeignInLoop(ActuatorPlant):
 
 #: Number of delays that are tried, from 0 to the longest; a parabola interpolates between the best ones.
 DELAYS = 41
-#: Largest RMS difference between two periods of a stable loop, as a fraction of the reference, because a stable loop
-#: becomes periodic; its noise is far below.
+#: Largest RMS difference between two consecutive periods of a stable loop, as a fraction of the RMS reference. A stable
+#: loop becomes periodic, and its noise is far smaller.
 LOST = 0.1
 #: A limit cycle may lock to the period of the reference; it is detected when the voltage is at its limits for at least
 #: this fraction of the time.
@@ -355,7 +355,7 @@ def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float
 
 
 def _scores(mean_squares: dict[Task, np.ndarray]) -> np.ndarray:
-    """Return the logarithm of the score at each delay: that for the worst plant, summed over references."""
+    """Return the log of the score at each delay: log mean square error on the worst plant, summed over references."""
     smallest = np.finfo(float).tiny
     return np.sum([np.log(np.maximum(np.max(values, axis=0), smallest)) for values in mean_squares.values()], axis=0)
 

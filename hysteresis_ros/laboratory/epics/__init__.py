@@ -9,6 +9,6 @@
 
 """``hysteresis ioc``: an axis as an EPICS motor record.
 
-``record`` is the record itself, ``link`` its ROS node, ``server`` the Channel Access server; ``server_process`` starts
-its process.
+``record`` is the record itself, ``link`` its ROS node, and ``server`` the Channel Access server, whose process
+``server_process`` starts.
 """

@@ -25,7 +25,7 @@ from hysteresis_ros.references.approach import HIGH, LOW, effective_limits
 from hysteresis_ros.references.moves import Arrival
 from hysteresis_ros.units import UNITS
 
-#: Fraction of the range within which a move has arrived, for an axis without goal tolerance.
+#: Tolerance of a move as a fraction of the range, for an axis without goal tolerance.
 NEAR = 0.01
 #: Time for which an inchworm motor's slider must stay near its setpoint [s].
 DWELL = 0.1
@@ -44,7 +44,7 @@ class MotorSettings:
     high: float
     velocity: float  #: velocity, acceleration: Limits of the approach [m/s], [m/s²]; 0: unlimited.
     acceleration: float
-    tolerance: float  #: tolerance, dwell: A move has arrived after the dwell time [s] within this distance [m].
+    tolerance: float  #: tolerance, dwell: A move is complete after the dwell time [s] within the tolerance [m].
     dwell: float
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
     unit: str  #: Engineering unit, a unit of length.
@@ -65,7 +65,7 @@ class RecordOptions:
     unit: str  #: Engineering unit.
     precision: int  #: Decimal places.
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
-    #: Distance within which a move has arrived, in engineering units; by default that of the axis.
+    #: Tolerance of a move, in engineering units; by default the tolerance of the axis.
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ def at_rest(axis: AxisParameters) -> AxisParameters:
 
 
 def stage_at_rest(configuration: Configuration) -> StageParameters | None:
-    """Return the stage of a configuration without its scan, its axes as :func:`at_rest`; None without a stage."""
+    """Return the stage of a configuration without its scan and waveforms; None if there is no stage."""
     if configuration.stage is None:
         return None
     stage = StageParameters.from_configuration(configuration).following(StageScanParameters()).in_time()
@@ -166,7 +166,7 @@ MISSED, TOO_HIGH, TOO_LOW = Alarm("STATE", "MAJOR"), Alarm("HIGH", "MAJOR"), Ala
 
 
 class Seen(NamedTuple):
-    """State of an axis: measurement and active setpoint [m], NaN if unknown, and its problem."""
+    """State of an axis: measurement and active setpoint [m] (NaN: unknown), and alarm."""
 
     position: float
     setpoint: float
@@ -256,7 +256,7 @@ class MotorRecord:
         self._go(user, now)
 
     def _put_dval(self, dial: float, now: float) -> None:
-        if self.fields["SET"] == "Use":  # otherwise the write changes only the zero of the record, not that of the axis
+        if self.fields["SET"] == "Use":  # in the mode Set, a write must not move the axis
             self._go(self._user(dial), now)
 
     def _put_rlv(self, distance: float, now: float) -> None:
@@ -351,7 +351,7 @@ class MotorRecord:
             distance = abs(self._target - self._seen.position)
             self._begin(now, distance / own.velocity if own.velocity else 0.0)
             self._axis.move(self._target)
-        fields["DMOV"] = 0  # a refused move ends with an alarm, a move within the deadband without
+        fields["DMOV"] = 0  # tick() ends a refused move with an alarm, and a move within the deadband without one
         self._sum_up()
 
     def _begin(self, now: float, takes: float) -> None:
@@ -361,7 +361,7 @@ class MotorRecord:
         self.fields["DMOV"], self.fields["MOVN"] = 0, 1
 
     def _halt(self, now: float) -> None:
-        """Stop the axis; the move ends at its position."""
+        """Stop the axis; the move ends where the axis stops."""
         self._axis.stop()
         self._begin(now, 0.0)
         self._stopping, self._target = True, math.nan

@@ -90,7 +90,7 @@ async def _write_value(group, instance, value):
 
 
 class Position(PvpropertyDouble):
-    """A position; the record refuses an invalid one with its alarm, and not with an exception of caproto."""
+    """A position; the record refuses an invalid value with an alarm, instead of an exception of caproto."""
 
     async def verify_value(self, value):
         """Pass a value from a client to the record."""
@@ -220,7 +220,7 @@ async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], b
 
 
 def main() -> int:
-    """Serve the records that the only argument describes until a signal arrives; return the exit code."""
+    """Serve the records that the JSON argument describes until a signal arrives; return the exit code."""
     request = json.loads(sys.argv[1])
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

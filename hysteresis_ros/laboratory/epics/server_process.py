@@ -66,7 +66,7 @@ def serve(
 ) -> int:
     """Serve motor records until a request to exit or the end of the server; return its exit code.
 
-    The ``axes`` are started before the server, those of a ``stage`` together.
+    The ``axes`` are started before the server; the axes of a ``stage`` are started together.
     """
     require_ros()
     require_caproto()

@@ -31,7 +31,7 @@ _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 
 
 def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
-    """Return the figure of the displacements of several runs of one reference [µm, s], and of a part of them.
+    """Return the figure of displacements [µm] in several runs of one reference: whole runs, and a window of time.
 
     Units: ``window`` [s].
     """
@@ -80,7 +80,7 @@ def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
 
 
 def prediction_figure(run: Recording):
-    """Return the figure of a model and the true displacement over time, and of the error [µm, s]."""
+    """Return the figure of the model's and the true displacement versus time, and of the error [µm, s]."""
     figure, (whole, error) = new_figure(3.6, 2)
     for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
         label = "truth" if name == "displacement" else "model"
@@ -113,7 +113,7 @@ def response_figure(frequency, measured, fitted):
 
 
 def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
-    """Return the figure of errors over time [µm, s]: first all runs, then those without large errors."""
+    """Return the figure of errors versus time [µm, s]: first all runs, then the runs without large errors."""
     figure, axes = new_figure(3.6, 2 if smaller else 1)
     for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
         axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)
@@ -142,7 +142,7 @@ def responses_comparison(frequency, responses: dict[str, np.ndarray]):
 
 
 def history_figure(histories: dict[str, np.ndarray]):
-    """Return the figure of errors over the evaluations of trainings, on a logarithmic axis."""
+    """Return the figure of training errors versus the number of evaluations, on a logarithmic axis."""
     figure, (axis,) = new_figure(3.0)
     for (label, values), colour in zip(histories.items(), _COLOURS[1:], strict=False):
         axis.semilogy(np.arange(1, len(values) + 1), values, color=colour, linewidth=1.3, label=label)
@@ -316,7 +316,7 @@ class Reproduction:
         return (*claim.cells(), " ".join(numbers))
 
     def remarks(self) -> list[str]:
-        """Return the reasons, each with all its rows."""
+        """Return the reasons, each with the names of all rows that it explains."""
         found: dict[str, list[str]] = {}
         for claim in self.claims:
             if claim.reason:

@@ -49,7 +49,7 @@ RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass and uncha
 TIMES = 10.0  # "greater than 10 times"
 LINES = 31.0  # images at this many lines a second
 
-#: Damping of a single resonance with which integral control has this bandwidth at this gain margin.
+#: Damping ratio of a single resonance for which integral control has the published bandwidth and gain margin.
 DAMPING = INTEGRAL_BANDWIDTH / (2.0 * RESONANCE * 10.0 ** (-INTEGRAL_MARGIN / 20.0))
 
 # Assumed here.
@@ -83,7 +83,7 @@ def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
 
     Units: ``gain`` [1/s].
     """
-    own: dict[str, Any] = {"pid": PidParameters(Ki=float(gain))}  # a group that the law declares
+    own: dict[str, Any] = {"pid": PidParameters(Ki=float(gain))}  # parameters that the law declares
     return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), **own)
 
 
@@ -115,7 +115,7 @@ def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Ma
 
 
 def best_k(frequency: float = RESONANCE) -> float:
-    """Return the k [1/s] with the largest damping of the resonance, by the roots of the characteristic polynomial.
+    """Return the k [1/s] with the largest damping of the resonance, from the roots of the characteristic polynomial.
 
     Units: ``frequency`` [Hz].
     """
@@ -163,7 +163,7 @@ TITLE = "Fleming, Aphale & Moheimani 2010, integral resonant control of a scanne
 LOOPS = "Bandwidth, margins, robustness (abstract)"
 SCANS = "Triangle of 31 Hz, 5 µm (the abstract's images: 31 lines a second)"
 HONEST = "By `hysteresis design`, 20 kHz, one sample of delay, resonance ±10 %"
-#: Runs of the plots, by the controllers of :func:`designed`.
+#: Controllers of :func:`designed` whose runs are plotted, with their labels.
 RUNS = {"integral": "integral control", "tracking": "damping and tracking"}
 PERIODS = 4
 SLOW_RATE = 20e3

@@ -41,7 +41,7 @@ SAMPLE_TIME = 1e-3  # of the simulated recordings [s]; the models are rate indep
 
 
 def triangles(peaks, samples: int = 250) -> np.ndarray:
-    """Return triangles from 0 to each of ``peaks`` and back, ``samples`` samples per branch (2 Hz: 250 at 1 kHz)."""
+    """Return triangles from 0 to each of ``peaks`` and back, with ``samples`` per branch (250 at 1 kHz: 2 Hz)."""
     rise = np.arange(1, samples + 1) / samples
     return np.concatenate([[0.0], *(peak * np.concatenate([rise, 1.0 - rise]) for peak in peaks)])
 
@@ -81,7 +81,7 @@ def run(configuration: Configuration, duration: float) -> Recording:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """Figures of the worst step of a run with steps between 0 and one level."""
+    """Figures of a run with steps between 0 and one level; each figure is the worst over the steps."""
 
     #: 2 % settling time [s], around the final value; the hold time if a step does not settle.
     settling: float
@@ -111,10 +111,10 @@ def step_figures(run: Recording) -> StepFigures:
 
 
 def loop_width(run: Recording) -> float:
-    """Return the largest width of the loop of displacement over reference, in % of the stroke of the reference.
+    """Return the largest width of the loop of displacement versus reference, in % of the reference's stroke.
 
-    The reference of sample k first acts on the displacement of sample k + 1, so these two are compared. With a preview
-    the delayed reference is compared with the displacement of the same sample.
+    The reference of sample k first acts on the displacement of sample k + 1, so these two are compared. If there is a
+    preview, the delayed reference is compared with the displacement of the same sample.
     """
     late = 0 if axis_settings(run).preview else 1
     reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
@@ -125,7 +125,7 @@ def loop_width(run: Recording) -> float:
 
 
 def picard_width(stack: PolynomialParameters, v_max: float, stroke: float, steps: int, rate_times_gain: float) -> float:
-    """Return the width between the branches of one loop after Picard steps (eq. 16) without memory.
+    """Return the width of one loop [% of the stroke] after Picard steps (eq. 16), without memory.
 
     Units: ``v_max`` [V], ``stroke`` [m].
     """
@@ -201,7 +201,7 @@ class GraphRunner:
             return self._run_in(domain, axis, number)
 
     def _run_in(self, domain: Domain, axis: AxisParameters, number: int) -> Recording:
-        # also in a separate namespace, because another graph may enter the domain
+        # a separate namespace, too, because another graph may enter the domain
         namespace = f"/reproduce_{os.getpid()}_{number}{axis.namespace}"
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
             bag = pathlib.Path(folder) / "bag"

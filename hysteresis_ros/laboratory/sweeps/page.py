@@ -24,7 +24,7 @@ from hysteresis_ros.laboratory.sweeps.summary import Summary, lines
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BOUND = dict(color="#222222", linewidth=1.0, linestyle=(0, (4, 3)))
-#: Maximum number of points of a scatter plot; of more runs only every n-th is plotted.
+#: Maximum number of points of a scatter plot; if there are more runs, only every n-th run is plotted.
 POINTS = 5000
 
 
@@ -45,9 +45,8 @@ def share_figure(column: Column, ends: Sequence[float]):
     """Return the figure of the empirical distribution of a metric."""
     figure, (axis,) = new_figure(3.2)
     known = np.sort(column.shown[np.isfinite(column.values)])
-    share = (
-        100.0 * np.arange(1, known.size + 1) / len(column.values)
-    )  # the fraction refers to all runs, including those without a value
+    # the fraction refers to all runs, including those without a value
+    share = 100.0 * np.arange(1, known.size + 1) / len(column.values)
     axis.step(known, share, where="post", color=_COLOURS[0], linewidth=1.4)
     for end in ends:
         axis.axvline(end * column.factor, **_BOUND)
@@ -56,7 +55,7 @@ def share_figure(column: Column, ends: Sequence[float]):
 
 
 def scatter_figure(column: Column, parameters: dict[str, np.ndarray], ends: Sequence[float]):
-    """Return the figure of a metric over each parameter."""
+    """Return the figure of a metric versus each parameter."""
     columns = min(len(parameters), 3)
     rows = -(-len(parameters) // columns)
     figure, axes = new_figure(2.7 * rows, columns, rows)
@@ -77,7 +76,7 @@ def scatter_figure(column: Column, parameters: dict[str, np.ndarray], ends: Sequ
 
 
 def levels_figure(column: Column, label: str, levels, spread: Sequence[np.ndarray], shares: Sequence[tuple]):
-    """Return the figure of a metric at each level of a parameter, and of the yield there."""
+    """Return the figure of a metric and of the yield at each level of a parameter."""
     figure, axes = new_figure(3.2, 2 if shares else 1)
     numbers = all(isinstance(level, (int, float, np.number)) for level in levels)
     places = np.array(levels, dtype=float) if numbers else np.arange(len(levels))
@@ -132,7 +131,7 @@ def write_sweep_page(path, title: str, *, figures: Sequence[tuple[str, object]],
     write_page(path, render_page("sweep.html.j2", title=title, plots=plots, **contents))
 
 
-#: Maximum number of parameters over which a metric is plotted.
+#: Maximum number of parameters against which a metric is plotted.
 MOST_DRAWN = 6
 
 

@@ -44,7 +44,8 @@ from hysteresis_ros.units import quantity, quantity_in
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance between random numbers, so that none is 0 or 1, where a normal distribution is infinite.
+#: Half the distance between random numbers; keeps them away from 0 and 1, where the inverse normal distribution is
+#: infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -181,12 +182,12 @@ class Spread:
     kind: str  #: One of :data:`SPREADS`.
     first: float  #: first, second: Ends, or mean and standard deviation.
     second: float
-    does: str = VALUE  #: Whether the distribution is that of values, of factors or of offsets.
+    does: str = VALUE  #: Whether values, factors or offsets are drawn.
     whole: bool = False  #: Whether the values are integers; both ends are included.
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Positions to check before any run: the ends; for a normal distribution, which has none, the mean."""
+        """Positions to check before any run: the ends; or the mean of a normal distribution, which has no ends."""
         return (0.5,) if self.kind == "normal" else (0.0, 1.0)
 
     def at(self, place: float) -> float:
@@ -244,7 +245,7 @@ class Normal(Range):
     deviation : float
         Standard deviation in SI units, or a fraction of the configured value.
     relative : bool
-        Whether the deviation is a fraction of the configured value; ``mean`` is None then.
+        Whether the deviation is a fraction of the configured value; if so, ``mean`` must be None.
 
     Examples
     --------
@@ -390,12 +391,12 @@ def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float,
 
 
 def _written(value: float, unit: str = "") -> str:
-    """Return a number as a text from which the same bits are read; a length gets its unit."""
+    """Return a number as text that reads back to the same bits; a length gets its unit."""
     return repr(float(value)).removesuffix(".0") + (unit if unit == "m" else "")
 
 
 def _percent(part: float) -> str:
-    """Return a fraction as a text in per cent, from which, if possible, the same bits are read."""
+    """Return a fraction as text in per cent, which reads back to the same bits if possible."""
     percents = 100.0 * part
     near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
     return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
@@ -466,7 +467,7 @@ def refused(text: str, value, remedy: str) -> ParameterError:
     return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
-#: Deviations of the plant as a whole; the models of compensator and controller do not follow them.
+#: Deviations of the plant as a whole; they do not change the models of compensator and controller.
 DEVIATIONS = {
     "gain": "factor on the displacement of the plant's hysteresis",
     "opening": "factor on the width of its loops",
@@ -498,7 +499,7 @@ class Variation:
 
     @property
     def deviates(self) -> bool:
-        """Whether it is a deviation of the whole plant instead of a parameter."""
+        """Whether this is a deviation of the whole plant instead of a parameter."""
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):

@@ -56,7 +56,7 @@ _WORST: dict[str, tuple[Callable, str]] = {
 }
 #: Figures that are undefined for a motor that did not arrive.
 _OF_ARRIVALS = ("final_error_rms_m", "final_error_max_m", "time_s")
-#: Figures of the configuration and of clocks, which do not depend on a run.
+#: Figures that follow from the configuration alone.
 _OF_GAITS = ("gait_speed_m_s", "stroke_m", "period_s", "clamp_threshold_v")
 _OF_RUNS = tuple(row for row in RUN_FIGURES if row[0] not in _OF_GAITS)
 _COMMON = tuple(row for row in COMMON_FIGURES if row[0].startswith(("chattering", "command", "voltage")))
@@ -79,8 +79,8 @@ def judged_motor(
 ) -> list[float]:
     """Return metrics of a run of an inchworm motor; an undefined metric is NaN.
 
-    All metrics are defined by :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; that of a run is the value of
-    the worst move to a setpoint. If a move did not arrive, the time and the final errors are undefined.
+    All metrics are defined by :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; a metric of moves has the
+    value of the worst move to a setpoint. If a move did not arrive, the time and the final errors are undefined.
     """
     recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
     found = figures_of(inchworm_run(recording, settings), recording)
@@ -102,7 +102,7 @@ ACTUATOR_METRICS: dict[str, tuple[str, str, float]] = {
 }
 #: Metrics of any axis.
 METRICS = MOTOR_METRICS | ACTUATOR_METRICS
-#: Metrics that are evaluated between the samples, at :data:`INSTANTS` points of each.
+#: Metrics that are evaluated also between the samples, at :data:`INSTANTS` points per sample.
 BETWEEN = (
     *("rms_error_m", "max_error_m", "iae_m_s", "rms_error_percent_of_stroke", "max_error_percent_of_stroke"),
     "stroke_m",
@@ -127,11 +127,11 @@ def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) ->
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
     """Return metrics of a run; an undefined metric is NaN.
 
-    Errors are those of the true displacement, also between the samples, minus the preload offset of the controller's
-    model, against the reference delayed by its preview, or against the undelayed one if the controller learns. The
-    reference is linear between samples, except at jumps. All other metrics are defined at the samples
-    (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the errors of a plant with a camera and all
-    metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+    An error is the difference between the reference and the true displacement, also between the samples. The preload
+    offset of the controller's model is subtracted from the displacement. The reference is delayed by its preview,
+    unless the controller learns; it is linear between samples, except at jumps. All other metrics are defined at the
+    samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the errors of a plant with a camera
+    and all metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)

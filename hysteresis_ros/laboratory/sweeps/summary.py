@@ -13,7 +13,7 @@ The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it
 observation is sufficiently likely, and covers the true fraction with at least the stated confidence.
 
 SALib computes the sensitivities (Herman and Usher, J. Open Source Software 2 (9), 2017) from runs that are planned for
-them: Saltelli's points for Sobol, trajectories for Morris.
+this analysis: Saltelli's points for Sobol, trajectories for Morris.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Yield:
 
 
 def parse_bound(text: str) -> Bound:
-    """Return a bound as text: ``rms_error_m=10nm`` at most, ``stroke_m=9um:11um`` range, ``stroke_m=9um:`` at least."""
+    """Return the bound in a text: maximum ``rms_error_m=1nm``, range ``stroke_m=9um:11um``, minimum ``stroke_m=9um:``."""
     name, mark, words = text.partition("=")
     (metric,) = require_metrics([name.strip()])
     low, colon, high = words.rpartition(":")
@@ -123,7 +123,7 @@ def interval(good: int, runs: int, confidence: float = 0.95) -> tuple[float, flo
 
 
 def yield_of(met: np.ndarray, confidence: float = 0.95) -> Yield:
-    """Return a yield."""
+    """Return the yield of runs from whether each run meets all bounds."""
     good = int(np.count_nonzero(met))
     return Yield(good, len(met), *interval(good, len(met), confidence))
 
@@ -152,7 +152,7 @@ class Sensitivity:
 
 
 def require_library() -> None:
-    """Refuse a sensitivity analysis without SALib."""
+    """Refuse a sensitivity analysis if SALib is not installed."""
     try:
         import SALib  # noqa: F401
     except ImportError:
@@ -227,7 +227,7 @@ class Summary:
 
     @property
     def at_levels(self) -> list[tuple[dict, Yield, dict[str, np.ndarray]]]:
-        """Levels, yield and metrics of the runs at each combination of levels; empty without draws."""
+        """Levels, yield and metrics of the runs at each combination of levels; empty if there are no draws."""
         plan, found = self.plan, []
         if not plan.counts or plan.design != RANDOM or not plan.spreads:
             return []

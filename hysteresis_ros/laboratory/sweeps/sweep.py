@@ -156,7 +156,7 @@ class Results:
 
 
 def require_kind(path) -> None:
-    """Refuse, before any run, a file of a format that cannot be written."""
+    """Refuse a file format that cannot be written; called before any run."""
     suffix = pathlib.Path(path).suffix
     if suffix not in (PARQUET, NPZ):
         raise ConfigurationError(f"{path}: results are written as F.parquet or F.npz; choose one of them")
@@ -275,7 +275,7 @@ def _fill(table: _Table, keep: Callable[[Runs], None], workers, scheduler, progr
     progress(table.done)
     if not missing:
         return
-    # one run here first, so that the kernels compile once for all processes
+    # the first run is executed in this process, so that the kernels compile once for all processes
     first = study.runs(int(missing[0][0]), table.plan.points(missing[0][:1]))
     table.put(first)
     keep(first)

@@ -10,8 +10,8 @@
 """Access control and request format of the page of an axis; no ROS, no web server.
 
 A foreign page that is open in a browser of the laboratory can send requests to this machine. But such a request cannot
-have this server's origin (``Origin``) or name (``Host``; with "DNS rebinding" the name remains that of the foreign
-page), and the foreign page does not know the token. Every request is checked before it reaches the axis.
+have this server's origin (``Origin``) or name (``Host``; even with "DNS rebinding", this is the foreign page's name),
+and it lacks the token. Every request is checked before it reaches the axis.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Access:
         return "this page needs the token: open the address that `hysteresis watch` printed"
 
     def refuses_origin(self, headers: Mapping[str, str]) -> str:
-        """Return why a request that changes something is refused; empty when it comes from this server's own page."""
+        """Return why a request that changes something is refused; empty if this server's page or a program sent it."""
         origin = headers.get("Origin", "")
         if origin:
             own = f"http://{headers.get('Host', '')}"
@@ -98,7 +98,7 @@ class Access:
 
 
 class Control:
-    """Write access for one of several pages: the first page has it until it closes or another page requests it."""
+    """Control of the axis, which one page has: the first page, until it closes or another page takes over."""
 
     def __init__(self) -> None:
         self._holder: int | None = None
@@ -106,7 +106,7 @@ class Control:
         self._since = 0.0
 
     def ask(self, page: int, place: str, by_force: bool = False) -> bool:
-        """Give the control to a page if no page has it, or by force; return whether the page has it now."""
+        """Give the control to a page if it is free, or by force; return whether this page now has the control."""
         if self._holder is None or (by_force and self._holder != page):
             self._holder, self._place, self._since = page, place, time.time()
         return self._holder == page
@@ -117,7 +117,7 @@ class Control:
             self._holder = None
 
     def refuses(self, page: int) -> str:
-        """Return why a page may change nothing; empty when it may."""
+        """Return why a page may not change anything; empty if it has the control."""
         if self._holder == page:
             return ""
         if self._holder is None:
@@ -139,14 +139,14 @@ SERVICES = ("home", "release", "learn", "freeze", "forget")
 
 #: Longest text of a marker, largest number of parameters in one request, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
-#: Allowed windows of time [s] and columns of the screen.
+#: Ranges of the window of time [s] and of the number of screen columns.
 WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)
 
 
 class RequestError(HysteresisError):
-    """A request is malformed, or asks for something that does not exist."""
+    """A request is malformed, or names something that does not exist."""
 
-    #: Number of the request; -1 when it has none.
+    #: Number of the request; -1: unknown.
     number = -1
 
 
@@ -219,7 +219,7 @@ def _set(given: dict) -> dict:
     }
 
 
-#: Allowed actions, and the function that reads the values of each.
+#: Allowed actions, each with the function that reads its values.
 ACTIONS = {
     "view": _view,
     "control": lambda given: {"by_force": _flag("by_force", given.get("by_force", False))},
@@ -233,7 +233,7 @@ ACTIONS = {
     "record": lambda given: {"on": _flag("on", given.get("on"))},
     "marker": lambda given: {"text": _text("marker", given.get("text"), MARKER)},
 }
-#: Actions that need no control.
+#: Actions that a page may request without having the control.
 FREE = ("view", "control", "stop")
 
 

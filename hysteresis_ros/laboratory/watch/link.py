@@ -134,7 +134,7 @@ DEPTH = 1000
 
 
 class AxisLink:
-    """Connection to the nodes of an axis, in a thread of its own (:meth:`run`); other methods work from any thread."""
+    """Connection to the nodes of an axis, with a separate thread (:meth:`run`) in which :meth:`ask` executes jobs."""
 
     def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
         self.namespace, self.folder = namespace, folder
@@ -143,7 +143,7 @@ class AxisLink:
         self.health: dict[str, dict] = {}
         self.refusals: list[str] = []
         self.recording: PageRecording | None = None
-        #: Whether the last move is ready, and the predicted time until it is [s]; NaN: not predicted.
+        #: Whether the axis is ready after its last move, and the predicted time until then [s]; NaN: not predicted.
         self.ready, self.ready_in = False, math.nan
         #: Namespaces of other axes.
         self.elsewhere: list[str] = []
@@ -261,7 +261,7 @@ class AxisLink:
         self._look_beside(found)
 
     def _look_beside(self, others: dict[str, list[str]]) -> None:
-        """Check whether the axis is one of a stage, and which other axis is shown with it in a plane."""
+        """Check whether the axis belongs to a stage, and choose the other axis for the plane that the page shows."""
         parent = self.namespace.rpartition("/")[0]
         secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page may read only its own axis
         is_stage = self._axis is not None and not secured and self.node.count_subscribers(f"{parent}/setpoints")
@@ -343,7 +343,7 @@ class AxisLink:
         return self._client.node.create_subscription(JointState, self._client.full_name(f"{node}/state"), take, DEPTH)
 
     def _reference_delay(self) -> int:
-        """Return by how many samples the axis follows its reference late."""
+        """Return the delay of the axis behind its reference [samples]."""
         if self._axis is None:
             return 0
         controller = self._axis.motion_controller
@@ -365,9 +365,8 @@ class AxisLink:
     def _take(self, block: Block) -> None:
         if self._axis is None or not block.numbers.size:
             return
-        if not self.memory.add(
-            block
-        ):  # a gap before these samples means that the axis has restarted, perhaps with other parameters
+        if not self.memory.add(block):
+            # the sample numbers went back: the axis has restarted, perhaps with other parameters
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
@@ -502,12 +501,12 @@ class AxisLink:
         self._speeds.publish(Float64(data=speed))
 
     def mark(self, text: str) -> None:
-        """Publish a marker and write it into the recording; called in the thread."""
+        """Publish a marker, and write it into the recording; must be called through :meth:`ask`."""
         self._markers.publish(String(data=text))
         self._write(MARKER, text)
 
     def stop(self) -> None:
-        """Publish a stop: to the plant, or to all other nodes if the plant does not belong to this package."""
+        """Publish a stop for the plant; if the plant does not belong to this package, also stop all other nodes."""
         self._stops.publish(Bool(data=True))
         if signals.PLANT not in self.values:
             for client in self._triggers.values():
@@ -528,7 +527,7 @@ class AxisLink:
 
 
 def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
-    """Return the topics and services that the page of an axis uses, independent of its process id."""
+    """Return the topics and services that the page of an axis uses, with ``*`` in place of the process id."""
     (axis,) = axes
     link = AxisLink(axis.namespace, pathlib.Path(), context)
     try:

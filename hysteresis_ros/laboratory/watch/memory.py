@@ -54,7 +54,7 @@ class Collector:
         if stamp <= self._done:
             if self._done - stamp < PART_PATIENCE:
                 return
-            self._pending.clear()  # time has restarted
+            self._pending.clear()  # the stamps went back: the axis has restarted
             self._done, self._count = -1, 0
         places = self._places_of(node, tuple(message.name))
         row, seen = self._pending.get(stamp) or (np.full(self._row, np.nan), 0)
@@ -101,7 +101,7 @@ class Memory:
         self.restart(rate, preview)
 
     def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
-        """Clear all samples, because another run begins."""
+        """Clear all samples for a new run."""
         with self.lock:
             self.epoch += 1
             self.rate, self.motor = rate, motor
@@ -114,7 +114,7 @@ class Memory:
             self._arrivals: list[tuple[float, int]] = []
 
     def add(self, block: Block) -> bool:
-        """Append samples and return True; if there is a gap before them, change nothing and return False."""
+        """Append samples and return True; if the sample numbers went back, change nothing and return False."""
         count = block.numbers.size
         if not count:
             return True
@@ -138,7 +138,7 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        # the controller of a motor takes the slider minus an origin as measurement; while the motor walks, this
+        # the measurement of a motor's controller is the slider position minus an origin; while the motor walks, this
         # difference is the extension of the extender
         origin = table[signals.ORIGIN] if self.motor else 0.0
         own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
@@ -193,7 +193,7 @@ class Memory:
         return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
     def spectrum(self) -> dict:
-        """Return the amplitude density of the error [m/√Hz] over the frequency [Hz]."""
+        """Return the amplitude density of the error [m/√Hz] versus frequency [Hz]."""
         frequency, density = amplitude_density(self.last("error", SPECTRUM), self.rate)
         return {"frequency": frequency.tolist(), "density": density.tolist()}
 
@@ -233,7 +233,7 @@ def motor_facts(axis: AxisParameters) -> dict | None:
 
 
 def motor_values(memory: Memory) -> dict[str, float | None] | None:
-    """Return the last values of :data:`TOLD` (SI, None when unknown); None when the axis is not a motor."""
+    """Return the last values of :data:`MOTOR_VALUES` (SI, None when unknown); None when the axis is not a motor."""
     if not memory.motor:
         return None
     values = {name: memory.value(signals.place(name)) for name in MOTOR_VALUES}
@@ -249,7 +249,7 @@ class Track:
         self._pieces: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque()
 
     def add(self, block: Block) -> None:
-        """Append samples; after a gap, discard the earlier samples."""
+        """Append samples; if the stamps went back, discard the earlier samples first."""
         if not block.stamps.size:
             return
         if self._pieces and block.stamps[0] <= self._pieces[-1][0][-1]:
@@ -278,11 +278,11 @@ class Plane:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Namespaces of the two axes, x first; none without a stage."""
+        """Namespaces of the two axes, x first; empty if there is no stage."""
         return tuple(self._tracks)
 
     def choose(self, axes: dict[str, int]) -> None:
-        """Show the plane of two axes, given as namespace → preview [samples]; no plane without axes."""
+        """Select the two axes of the plane, as namespace → preview [samples]; empty: no plane."""
         with self._lock:
             self._tracks = {namespace: Track(preview) for namespace, preview in axes.items()}
 
@@ -293,9 +293,9 @@ class Plane:
                 self._tracks[namespace].add(block)
 
     def told(self) -> dict | None:
-        """Return names, reference and path of the plane [m], and the error of each point [m]; None without a plane.
+        """Return names, reference and path [m] of both axes, and the error of each point [m]; None if no plane exists.
 
-        A point represents several consecutive samples, and its error is the largest of them.
+        A point represents several consecutive samples; its error is their largest error.
         """
         with self._lock:
             names = [namespace.rpartition("/")[2] for namespace in self._tracks]

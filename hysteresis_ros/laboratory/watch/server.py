@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The web server of the page: files, one web socket per open page, and a stop that needs no socket.
+"""The web server of the page: files, one web socket per open page, and a stop request that needs no socket.
 
 The argument of its process is the JSON of :mod:`hysteresis_ros.laboratory.watch.server_process`.
 """
@@ -106,7 +106,7 @@ class Server:
         self._marks = itertools.count(1)
         self._refused = ""
         self._last_status: dict = {}
-        #: New connections without a request yet.
+        #: Connections that have not yet sent a request.
         self._silent: set = set()
 
     def application(self) -> web.Application:
@@ -234,7 +234,7 @@ class Server:
             await page.say(answer=request.number, ok=False, text=" ".join(str(error).split()))
 
     async def _draw(self, page: Page) -> None:
-        """Send a page its frames; a slow page gets fewer frames, each with all samples since the previous frame."""
+        """Send frames to a page; a slow page gets fewer frames, each with all samples since the previous frame."""
         memory = self.link.memory
         while True:
             begun = time.monotonic()
@@ -269,7 +269,7 @@ class Server:
             await self._everybody(spectrum=self.link.memory.spectrum())
 
     async def _plane(self) -> None:
-        """Send the plane of two axes of a stage, or None if the axis belongs to no stage or is not live."""
+        """Send the plane of two axes of a stage, or None if the axis is not live or not part of a stage."""
         if self.pages:
             live = self.link.memory.is_live and self.link.plane.axes
             await self._everybody(plane=self.link.plane.told() if live else None)
@@ -347,7 +347,7 @@ class Server:
         return f"walks at {1e6 * speed:g} µm/s" if speed else "holds its position until the next setpoint"
 
     async def _given(self, name: str, value: float, shown: str, give: Callable[[float], None]) -> None:
-        """Send the reference source a value, in refusals ``shown``; wait until a sample shows that it is used."""
+        """Send a value, written ``shown`` in refusals, to the reference source; wait for a sample that contains it."""
         link = self.link
         if not link.memory.is_live:
             raise HysteresisError(f"the axis is silent: no node would receive the {name}")
@@ -410,7 +410,7 @@ class Server:
 
 
 def main() -> int:
-    """Serve the page that the only argument describes until a signal arrives; return the exit code."""
+    """Serve the page that the JSON argument describes until a signal arrives; return the exit code."""
     request = json.loads(sys.argv[1])
     stay_on_this_machine()
     namespace, bind = request["namespace"], request["bind"]

@@ -39,7 +39,7 @@ PATIENCE = 5.0
 class PageOptions:
     """Addresses of the pages, and the folder of their recordings."""
 
-    port: int | None = None  #: Port of the first axis, the next axes follow; None: :data:`PORT`, or any free port.
+    port: int | None = None  #: First of consecutive ports, one per axis; None: :data:`PORT`, or any free port.
     bind: str = LOOPBACK  #: Address to listen on.
     folder: str = "."  #: Folder for recordings.
 
@@ -97,7 +97,7 @@ class Pages:
 
 
 def _free_port(options: PageOptions, number: int) -> int:
-    """Return the port of the page of an axis."""
+    """Return the port for the page of axis ``number``; 0: any free port."""
     if options.port == 0:
         return 0
     port = (options.port or PORT) + number

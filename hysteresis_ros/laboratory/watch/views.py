@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data of a page: history and frames of the samples, and a table of the parameters in use; without ROS and web server.
+"""Data of a page: history and frames of the samples, and a table of the parameters in use; no ROS, no web server.
 
 At sample rates of kilohertz, one column of the screen covers many samples. The column shows their minimum and maximum,
 in the order in which they occurred, so no peak is lost, however short it is.
 
-A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, followed by
-numbers, float32, little-endian: for each signal in the header and each column of the screen the minimum and the maximum
-in the order in which they occurred, then the points of the loops. Numbers are SI.
+A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, and then
+numbers (float32, little-endian, SI). The numbers are, for each signal in the header and each column of the screen, the
+minimum and the maximum in the order in which they occurred; then follow the points of the loops.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return the points of a curve of several signals at which one signal has its minimum or maximum in a bin."""
+    """Return the points of a curve of several signals at which any signal has its minimum or maximum in a bin."""
     rows = len(table)
     if length <= 2 * rows:
         return table
@@ -116,8 +116,8 @@ def amplitude_density(values: np.ndarray, rate: float) -> tuple[np.ndarray, np.n
     return frequency[begins], np.maximum.reduceat(density, begins)
 
 
-#: Signals over time (from the row or calculated here), and signals of the loops: displacement against voltage and
-#: command.
+#: Signals shown versus time (taken from the row, or calculated here), and signals of the loops: displacement versus
+#: voltage and command.
 SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
 LOOP = ("voltage", "command", "measured")
 #: The same for an inchworm motor, with command and voltage of its extender.
@@ -202,7 +202,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Return whether a parameter has no effect because the law that has it is not selected or its block is absent."""
+    """Return whether a parameter has no effect, because its control law is not selected or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True
@@ -236,7 +236,7 @@ def table_of(node: str, values: Mapping) -> list[dict]:
 
 
 def axis_of(namespace: str, values: Mapping[str, Mapping]) -> AxisParameters:
-    """Return the parameters of an axis from those of its nodes."""
+    """Return the parameters of an axis from the parameters of its nodes."""
     typed = {
         node: NODE_PARAMETERS[node].from_mapping({name: value for name, value in own.items() if _is_ours(node, name)})
         for node, own in values.items()

@@ -55,9 +55,9 @@ NEGATIVE = (-30.0, 150.0)
 NOISE = 5e-9  # m rms
 CAMERA_NOISE = 50e-9  # m rms
 BITS = 16
-CREEP = 0.015  # a decade
+CREEP = 0.015  # per decade
 
-#: Labels of the ways of driving the axis.
+#: Labels of the control schemes.
 METHODS = {
     "none": "V = K ψ",
     "pid": "PID",
@@ -125,7 +125,7 @@ def off(configuration: Configuration, name: str, part: float) -> Configuration:
 
 
 def driven(configuration: Configuration, method: str) -> Configuration:
-    """Return the axis driven by one of :data:`METHODS`."""
+    """Return the axis with one of the control schemes :data:`METHODS`."""
     if method in ("none", "pid"):
         proportional = dict(hysteresis__type="proportional", hysteresis__proportional__gain=1e-6 / TABLE_1["K"])
         configuration = configuration.override("hysteresis_compensator", inverse__type="none", **proportional)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse as printed, then under realistic conditions."""
+"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse, first as printed, then in realistic conditions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording
 
 ASSUMED = (auwal.TRIANGLE, auwal.SAMPLED, auwal.CORRECTED, auwal.UNLIMITED)
-#: Additional assumptions of some ways of driving.
+#: Additional assumptions of some control schemes.
 FURTHER = {"none": (auwal.GAIN,), "pid": (auwal.FILTERED,), "combined": (auwal.FILTERED,)}
 
 
@@ -132,13 +132,13 @@ def tuning_claims(found: Tuning) -> list[Claim]:
 
 
 def paper_runs(configuration: Configuration) -> dict[str, Recording]:
-    """Return runs of the paper's triangle: driven in its three ways, and by inverse, PID and feedforward together."""
+    """Return runs of the paper's triangle: its three control schemes, and inverse, PID and feedforward together."""
     ways = ("none", "pid", "inverse", "combined")
     return {method: auwal.run_triangle(auwal.driven(configuration, method)) for method in ways}
 
 
 def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
-    """Return the rows of the paper's table of integrals of the absolute error, and of better controllers."""
+    """Return the rows for the paper's table of the integral absolute error, and for better controllers."""
     group = "Hysteresis minimisation (section 5, last table)"
     found = {method: auwal.iae(run) for method, run in runs.items()}
     claims = []

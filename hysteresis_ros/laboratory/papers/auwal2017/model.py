@@ -64,7 +64,7 @@ def paper_b(noise: float = 10e-9, seed: int = 0, peak: float = 150.0) -> PaperB:
 
 
 def paper_b_reduction() -> dict[str, float]:
-    """Return the relative differences of m, b and K of the reduced G4 from the paper's (B2)."""
+    """Return the relative differences of m, b and K of the reduced G4 from the paper's values (B2)."""
     reduced = dominant_second_order(*PUBLISHED_G4)
     found = mass_spring_damper(reduced.numerator, reduced.denominator)
     values = {"m": found.mass, "b": found.damping, "K": found.stiffness}
@@ -76,7 +76,7 @@ SEED = 0
 FITTED = 6
 #: Largest relative error of m, b, K, and of an identified Bouc-Wen parameter.
 CLOSE = 0.005
-#: Steps of a branch of the misprinted equation.
+#: Integration steps per branch of the misprinted equation.
 STEPS = 20000
 
 
@@ -285,7 +285,7 @@ def _stroke_claims(group: str) -> list[Claim]:
 
 
 def _loop_claims(group: str) -> list[Claim]:
-    """Return the rows of the element over several cycles: as printed, its boundedness, and its drift."""
+    """Return the rows about cycles of the hysteresis element: the printed equation, boundedness and drift."""
     cycles = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME).simulate(triangles([auwal.PEAK_VOLTAGE] * 5))
     lower = cycles[::250][::2]
     assumed = (auwal.CORRECTED,)
