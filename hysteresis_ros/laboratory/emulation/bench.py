@@ -53,7 +53,7 @@ FAULTS = {
 }
 #: Faults of single lines.
 OF_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
-#: Number of bytes of a random line, including the line end.
+#: Bytes that replace a line, including the line end.
 GARBAGE = b"\xff\x00=\xb5 1e9\n"
 
 
@@ -97,7 +97,7 @@ class DeviceFaults:
         return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
 
     def take_line(self) -> str:
-        """Return the name of the fault for the next line, and count the line; empty without a fault."""
+        """Return the name of the fault for the next line, and count the line; empty if no fault is active."""
         now = self._clock()
         for entry in self._entries:
             name, begin, end, value = entry
@@ -142,7 +142,7 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest time that a device catches up [s]; it would otherwise run too fast after the machine was suspended.
+#: Longest time that a device catches up [s]; otherwise it would compute the whole time of a suspended machine.
 LONGEST_CATCH_UP = 5.0
 
 #: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
@@ -222,7 +222,7 @@ INTEGRAL_RATE = 60.0
 
 
 class Servo:
-    """A servo: moves a plant to a position by an integrator, or outputs a voltage in open loop.
+    """A servo that moves a plant to a position with an integrator, or outputs a voltage in open loop.
 
     Units: ``voltage`` [V], ``way`` [m].
     """
@@ -255,7 +255,7 @@ class Servo:
         return self.put_out(self.voltage + step)
 
 
-#: Sample time of an emulated device [s], longer than that of a real controller, so that Python keeps up even while an
+#: Sample time of an emulated device [s]. It is longer than in a real controller, so that Python keeps up even while an
 #: axis runs on the same machine.
 CYCLE = 2.0e-4
 
@@ -266,7 +266,7 @@ class Bench:
 
     plant: ActuatorParameters = field(default_factory=lambda: assumed_stage(CYCLE))
     cycle: float = CYCLE  #: Sample time of the plant [s].
-    faults: tuple[str, ...] = ()  #: As for :class:`~hysteresis_ros.laboratory.emulation.bench.DeviceFaults`.
+    faults: tuple[str, ...] = ()  #: Texts for :meth:`DeviceFaults.add`.
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def _take_faults(running) -> None:
                 click.echo(f"from now on: {line.strip()}")
         except ConfigurationError as error:
             click.echo(f"hysteresis: {error}", err=True)
-    threading.Event().wait()  # without input: until a signal arrives
+    threading.Event().wait()  # after the last line of input, wait for a signal
 
 
 @click.group(short_help="Emulate a device, with a plant inside and faults.")

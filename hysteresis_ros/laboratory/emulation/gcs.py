@@ -175,7 +175,7 @@ def _sine(point: int, count: int, shape: list[float]) -> float:
 
 
 def _line(point: int, count: int, shape: list[float]) -> float:
-    """Return a point of a line with parabolic ends of ``speed`` points."""
+    """Return a point of a line with parabolic ends of ``shape[0]`` points."""
     bend = min(shape[0], 0.5 * count)
     speed = 1.0 / max(count - bend, 1.0)
     if point < bend:
@@ -186,7 +186,7 @@ def _line(point: int, count: int, shape: list[float]) -> float:
 
 
 def _ramp(point: int, count: int, shape: list[float]) -> float:
-    """Return a point of a line up to the centre of the curve and a line down."""
+    """Return a point of a curve: a line up to its centre, and then a line down."""
     bend, centre = shape
     centre = centre or 0.5 * count
     if point < centre:
@@ -233,7 +233,7 @@ _of_each("WGO?", "get wave generator start mode", lambda axis: str(int(axis.gene
 
 
 def _of_inputs(name: str, text: str, value: Callable[[float], str]) -> None:
-    """Add a query about the named input signals, or about all of them; an input without an axis measures 0."""
+    """Add a query about the named input signals, or about all input signals; an input without an axis measures 0."""
 
     def ask(controller: Controller, words: list[str]) -> list[str]:
         """Answer the query."""
@@ -562,7 +562,7 @@ def _repeated(controller, words):
 
 
 def _axes_of(controller: Controller, words: list[str]) -> list[Axis]:
-    """Return the named axes, or all."""
+    """Return the named axes, or all axes if none is named."""
     return [axis_of(controller, word) for word in words] or list(controller.axes.values())
 
 
@@ -808,7 +808,7 @@ class Session:
         return " \n".join(lines).encode("latin-1") + b"\n" if lines else b""
 
     def answer(self, line: str) -> list[str]:
-        """Return the lines of the answer to a command; none for a setting or a refused command."""
+        """Return the lines of the answer to a command; empty for a setting or a refused command."""
         words, controller = line.split(), self._controller
         if not words:
             return []
@@ -824,7 +824,7 @@ class Session:
             return []
 
     def _status(self) -> int:
-        """Return the status register; assumed: four bits per axis, on target, moving, servo on, generator running."""
+        """Return the status register; assumed: four bits per axis (on target, moving, servo on, generator running)."""
         axes = enumerate(self._controller.axes.values())
         return sum(
             (axis.on_target | axis.moving << 1 | axis.servo << 2 | axis.generating << 3) << 4 * place

@@ -56,12 +56,12 @@ OPTIONS = {
     OPEN_LOOP: "Open-Loop Control of axis",
     VOLTAGE: "Voltage of output chan",
 }
-#: Triggers of the recorder: the wave generator; the wave generator or any move; none, the recorder starts immediately.
+#: Triggers of the recorder: the wave generator; the wave generator or any move; no trigger: it starts immediately.
 BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
 class Recorder:
-    """Tables of recorded signals, with a point in every n-th sample."""
+    """Tables of recorded signals, with a point for every n-th sample."""
 
     def __init__(self, axes: list[str]):
         self.configuration = [(name, POSITION) for name in axes]
@@ -119,7 +119,7 @@ class Recorder:
         return lines + [" ".join(f"{column[row]:.7g}" for column in columns) for row in range(length)]
 
 
-#: Number of digital lines, which are outputs of triggers and inputs.
+#: Number of trigger outputs, and number of digital inputs.
 LINES = 4
 
 
@@ -133,12 +133,12 @@ class TriggerLine:
         self.values: dict[int, float | str] = {TRIGGER_AXIS: axis, TRIGGER_MODE: POSITION_DISTANCE, TRIGGER_STEP: 0.1}
         self.values |= {START_THRESHOLD: 0.0, STOP_THRESHOLD: 0.0}
         self.on = False
-        #: Positions at which it has pulsed [unit of the axis].
+        #: Positions of the pulses [unit of the axis].
         self.pulses: list[float] = []
         self._before = math.nan
 
     def look(self, position: float) -> None:
-        """Compare a position with that of the last cycle [unit of the axis]."""
+        """Compare a position [unit of the axis] with the position in the previous cycle."""
         before, self._before = self._before, position
         start, stop, step = (float(self.values[name]) for name in (START_THRESHOLD, STOP_THRESHOLD, TRIGGER_STEP))
         if not self.on or self.values[TRIGGER_MODE] != POSITION_DISTANCE or not step > 0.0 or start == stop:
@@ -177,7 +177,7 @@ class Axis:
         self.open_value, self.target = plant.voltage, plant.measured
         self.wave: list[float] = []
         self._played, self._cycles, self._rate, self._inside = 0, 0, 1, 0
-        #: Called with the position of each cycle [unit of the axis].
+        #: Called in each cycle with the position [unit of the axis].
         self.looked: Callable[[float], None] = lambda position: None
         plant.control = self._control
 
@@ -193,7 +193,7 @@ class Axis:
 
     @property
     def on_target(self) -> bool:
-        """Whether the position has been in the window long enough; false without servo."""
+        """Whether the position has been in the window long enough; False if the servo is off."""
         return self.servo and self._inside * self.plant.cycle >= float(self.values[SETTLING])
 
     @property
@@ -223,7 +223,7 @@ class Axis:
     def generate(self, wave: list[float], cycles: int, rate: int) -> None:
         """Start the wave generator.
 
-        Units: ``wave`` [V].
+        Units: ``wave`` [m] if the servo is on, otherwise [V].
         """
         self.wave, self._cycles, self._rate, self._played = wave, cycles, rate, 0
 
@@ -236,7 +236,7 @@ class Axis:
             self._hold_here()
 
     def _wanted(self) -> float:
-        """Return the target of the generator or the client in this sample."""
+        """Return the target in this sample, from the generator or from the client."""
         if not self.wave:
             return self.target if self.servo else self.open_value
         point, length = self._played // self._rate, len(self.wave)
@@ -284,7 +284,7 @@ class Model:
     #: Answer to ``*IDN?``.
     identification: str
     axes: int
-    #: Number of input signals of sensors and analog inputs.
+    #: Number of input signals, from sensors and analog inputs.
     inputs: int
     #: Whether answers of the controller omit leading zeros of parameter numbers.
     strips: bool = False
@@ -328,7 +328,7 @@ class Controller:
         self.own = {0x02000200: 0.0, 0x02000300: 1.0, 0x07000A00: 0.0, 0x07000A01: 100.0, 0x06000500: 0.0}
 
     def _compare(self, axis: str, position: float) -> None:
-        """Let the lines of an axis compare its position."""
+        """Pass the position of an axis to its trigger lines."""
         for line in self.lines.values():
             if line.values[TRIGGER_AXIS] == axis:
                 line.look(position)
@@ -354,7 +354,7 @@ class Controller:
         return code if lasting is None else int(lasting)
 
     def stop(self, axes: Iterable[Axis]) -> None:
-        """Stop axes, which sets an error."""
+        """Stop axes, and store the error that reports the stop."""
         for axis in axes:
             axis.stop()
         self._error = STOPPED

@@ -27,7 +27,7 @@ from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, Garbler
 
 #: Interval at which the plant of an idle device is advanced, and its link is checked [s].
 TICK = 0.02
-#: Time after which the connection of a disconnected client is free again [s].
+#: Time to wait until the connection of a disconnected client is free again [s].
 HANGING_UP = 0.3
 
 
@@ -79,7 +79,7 @@ class _Connection(socketserver.BaseRequestHandler):
     server: DeviceServer
 
     def handle(self) -> None:
-        """Answer."""
+        """Answer the client."""
         self.request.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         session, self._garbler = self.server.session(), Garbler(self.server.faults)
         try:

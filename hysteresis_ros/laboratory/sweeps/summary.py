@@ -88,7 +88,7 @@ class Yield:
 
 
 def parse_bound(text: str) -> Bound:
-    """Return the bound in a text: maximum ``rms_error_m=1nm``, range ``stroke_m=9um:11um``, minimum ``stroke_m=9um:``."""
+    """Return the bound in a text: ``rms_error_m=1nm`` (maximum), ``stroke_m=9um:`` (minimum), ``stroke_m=9um:11um``."""
     name, mark, words = text.partition("=")
     (metric,) = require_metrics([name.strip()])
     low, colon, high = words.rpartition(":")

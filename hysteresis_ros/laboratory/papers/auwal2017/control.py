@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse, first as printed, then in realistic conditions."""
+"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse, as printed and under realistic conditions."""
 
 from __future__ import annotations
 

@@ -41,11 +41,11 @@ DC_GAIN = 2.05e-6  # m per V before the amplifier
 #: Loop width of the branches to 120 V after Picard steps, % of the stroke: R g → steps → width.
 WIDTHS = {1.0: {0: 15.0, 1: 8.2, 3: 1.7, 6: 0.26}, 1.12: {1: 9.3, 3: 1.8, 6: 0.10}}
 
-# Assumed here; the amplifier's gain is that of config/kim2009.yaml.
+# Assumed here; the amplifier's gain is the value in config/kim2009.yaml.
 AMPLIFIER = 20.0
 MAXIMUM_VOLTAGE = 120.0
 SLOW_FREQUENCY = 0.05  # Hz: the lag of the dynamics is less than 0.01 % of the stroke
-DISTURBANCE_VARIANCE = 0.01  # V² a sample
+DISTURBANCE_VARIANCE = 0.01  # V² per sample
 FAST_VARIANCE = 1.0
 MISMATCH = 0.05
 NOISE = 5e-9  # m rms
@@ -85,7 +85,7 @@ def real(configuration: Configuration, mismatch: float) -> Configuration:
 
 
 def real_opening(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis of :func:`real`, but with only the width of the compensator's loop off by ``mismatch``."""
+    """Return the axis of :func:`real`, but with an error ``mismatch`` only of the loop width in the compensator."""
     model = configuration.node("hysteresis_compensator")
     changed = {}
     for branch in ("rising", "falling"):
@@ -110,7 +110,7 @@ def without_dynamics(configuration: Configuration) -> Configuration:
 
 
 def uncompensated(configuration: Configuration) -> Configuration:
-    """Return the axis whose compensator divides by its gain."""
+    """Return the axis with a compensator that only divides by its gain."""
     return configuration.override("hysteresis_compensator", inverse__type="none")
 
 
@@ -129,7 +129,7 @@ def open_loop(configuration: Configuration) -> Configuration:
 def estimating(configuration: Configuration, variance: float = DISTURBANCE_VARIANCE) -> Configuration:
     """Return the axis whose Kalman filter estimates a disturbance of the command, a random walk.
 
-    Units: ``variance`` [V²], of its change per sample.
+    Units: ``variance`` [V²], of the disturbance's change per sample.
     """
     values = dict(kalman__gain="riccati", kalman__q=NOISE_RATIO, kalman__r=1.0)
     disturbed = dict(kalman__disturbance="constant", kalman__q_disturbance=variance)
@@ -143,7 +143,7 @@ def preloaded(configuration: Configuration) -> Configuration:
 
 
 def run_steps(configuration: Configuration, hold: float = STEP_TIME, size: float = STEP, cycles: int = 2) -> Recording:
-    """Return a run of ``cycles`` times two steps, to the displacement of ``size`` [V] and back, ``hold`` s each."""
+    """Return a run of ``cycles`` pairs of steps, to the displacement at ``size`` [V] and back, ``hold`` s each."""
     times = [hold * (0.5 + i) for i in range(2 * cycles)]
     values = dict(waveform__type="steps", waveform__steps__values=[DC_GAIN * size, 0.0] * cycles)
     moved = configuration.override("reference_generator", **values, waveform__steps__times=times)

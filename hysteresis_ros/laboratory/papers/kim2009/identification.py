@@ -39,7 +39,7 @@ STIFFNESS = 0.41e6  # of the propulsion part [N/m], stated in the paper
 
 
 def stack_truth(opening: float = 0.15, stroke: float = 12.45e-6, fading: float = 1.0) -> PrandtlIshlinskiiParameters:
-    """Return a Prandtl-Ishlinskii stack of 40 plays for 0 … 120 V (assumption; not the class that is fitted).
+    """Return a Prandtl-Ishlinskii stack of 40 play operators for 0 … 120 V (assumed; not the class that is fitted).
 
     Units: ``stroke`` [m].
     """
@@ -73,8 +73,8 @@ class PaperK:
     rms: float
     preload_curve: PreloadIdentification  #: W(L0) from noisy points 0 … 6 N.
     preload: float  #: Preload from a recording under 5.88 N [N].
-    #: voltage, truth, predicted: shape (N,); The decreasing triangle [V], the stack's displacement and the model's
-    #: [m], at ``SAMPLE_TIME``.
+    #: voltage, truth, predicted: shape (N,); The decreasing triangle [V], and the displacements of the stack and of the
+    #: model [m], at ``SAMPLE_TIME``.
     voltage: np.ndarray
     truth: np.ndarray
     predicted: np.ndarray
@@ -139,7 +139,7 @@ BAND = (135, 1135)  # Hz: 1 kHz around the resonance
 # Assumed here.
 EXCITATION = 0.1e-6  # m, peak of the multisine
 WORKING_POINT = 4.0e-6  # m
-PERIODS, SETTLING = 8, 2  # periods of 1 s: of a run, and not evaluated at its beginning, until vibrations have decayed
+PERIODS, SETTLING = 8, 2  # periods of 1 s: of a run, and at its beginning, in which vibrations decay (not evaluated)
 
 LOOPS = (
     "truth for K2: Prandtl-Ishlinskii stack of 40 plays, loop width 15 % of 12.45 µm; not the polynomial that is "
@@ -172,7 +172,7 @@ def structure(excited: Recording) -> tuple[FrequencyResponse, MatrixFractionFit]
 
 
 def prediction(case: PaperK) -> Recording:
-    """Return the decreasing triangle as a run: the stack's displacement and, as ``estimated``, the model's."""
+    """Return the decreasing triangle as a run: the stack's displacement, and the model's one as ``estimated``."""
     time = SAMPLE_TIME * np.arange(case.voltage.size)
     return Recording(time, {"voltage": case.voltage, "displacement": case.truth, "estimated": case.predicted})
 

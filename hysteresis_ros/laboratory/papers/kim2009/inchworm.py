@@ -63,12 +63,12 @@ def inchworm(configuration: Configuration | None = None, plant=None, sequencer=N
 class Move:
     """Result of one setpoint."""
 
-    setpoint: float  #: [m].
+    setpoint: float  #: Setpoint [m].
     error: float  #: RMS of displacement minus setpoint over the last part of the move [m].
     overshoot: float  #: Largest displacement beyond the setpoint in the direction of the move [m].
     duration: float  #: Time until the sequencer reports arrival, rounded up to an eighth of a second [s].
-    steps: int  #: Steps made.
-    arrived: bool  #: False without arrival in time, or with an error.
+    steps: int  #: Number of steps.
+    arrived: bool  #: Whether the motor arrived in time and without an error.
 
 
 def sequencer_of(axis: Axis) -> InchwormSequencer:
@@ -124,7 +124,7 @@ def speed(axis: Axis, samples: int = 20000) -> float:
 
 
 def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = True, plant=None) -> np.ndarray:
-    """Return commanded minus achieved lengths [m]: open-loop steps, 10 … 100 % of the stroke, both directions."""
+    """Return commanded minus achieved lengths [m] of open-loop steps of 10 … 99 % of the stroke, in both directions."""
     sequencer = {"fine__enabled": False, "fine__tolerance": 0.4e-6, "learning__enabled": learning}
     axis = inchworm(
         plant=plant, sequencer=sequencer, controller={"type": "open_loop"}, compensator={"inverse__type": inverse}
@@ -159,7 +159,7 @@ class Sequences:
     both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
     least_force: float  #: Smallest value over all samples of the larger of the two clamps' normal forces [N].
     beyond_limits: int  #: Samples at which a voltage was outside of its limits.
-    #: Largest displacement beyond the positions that a sequence requests by start, setpoints and walking distance [m].
+    #: Largest displacement beyond the range that start, setpoints and walking distance of a sequence define [m].
     farthest: float
     unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.
     slowest_stop: float  #: Longest time from a stop to both clamps above the threshold voltage [s].
@@ -198,7 +198,7 @@ def walking_distance(speeds, before: float, rate: float) -> tuple[float, float]:
 def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Sequences:
     """Run ``count`` random sequences of setpoints, stops, faults and reversals, and count violations.
 
-    Every sequence continues from the end of the previous one; every tenth starts from rest.
+    Every tenth sequence starts from rest; the other sequences continue from the end of the previous sequence.
     """
     axis = inchworm(plant=plant)
     gait = sequencer_of(axis).parameters.gait
@@ -248,7 +248,7 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
 
 
 def main(arguments=None) -> int:
-    """Print the figures; returns the exit code."""
+    """Print the figures; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--moves", type=int, default=10, help="number of moves of 5 mm, back and forth")
     parser.add_argument("--plants", type=int, default=10, help="number of extenders that differ from their models")

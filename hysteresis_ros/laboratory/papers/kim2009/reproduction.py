@@ -10,8 +10,8 @@
 """The experiments of Kim, Kim & Park 2009 on the axis of ``config/kim2009.yaml``, which states its assumptions.
 
 Identification, preload (fig. 10) and uncontrolled steps (fig. 12) come first. The paper's section 4 follows: an
-open-loop triangle with the inverse hysteresis model (fig. 13), and steps under sliding mode control without (fig. 15)
-and with the model (fig. 17). These experiments are repeated with a less accurate compensator and with an estimated
+open-loop triangle with the inverse hysteresis model (fig. 13), and steps under sliding mode control without this model
+(fig. 15) and with it (fig. 17). These experiments are repeated with a less accurate compensator and with an estimated
 disturbance, then with one non-ideal condition at a time, and with other tasks.
 """
 
@@ -123,7 +123,7 @@ def figures(found: Reproduction) -> list:
 
 
 def _deviation(name: str, quantity: str, found, published, assumption: str) -> Claim:
-    """Return the row of published numbers, checked by the largest deviation."""
+    """Return the row that compares numbers with the published numbers by the largest deviation."""
     return Claim(
         f"model.{name}",
         MODEL_GROUP,

@@ -98,7 +98,7 @@ def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
 def _rows(
     prefix: str, group: str, figures: list[StepFigures], assumed, residual: dict, level: dict, slow=""
 ) -> list[Claim]:
-    """Return four rows, for the worst of several runs or for one run."""
+    """Return four rows with the figures of a run, or with the worst figures of several runs."""
 
     def row(name, quantity, unit, *own, **more):
         values = [getattr(item, name) for item in figures]
@@ -131,7 +131,7 @@ def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]
 
 
 def honest_step_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of (c) and (d) with a wrong compensator, noise and converters."""
+    """Return the rows of (c) and (d) with an inaccurate compensator, noise and converters."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.REAL)
     axes = kim.off_both_ways(kim.real, configuration)
     alone = [step_figures(kim.run_steps(kim.uncompensated(axis))) for axis in axes]
@@ -224,7 +224,7 @@ def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
 
 
 def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
-    """Return the rows of the triangle through an axis whose plant is only the hysteresis element.
+    """Return the rows for the triangle response of an axis whose plant is only the hysteresis element.
 
     Units: ``stroke`` [m].
     """
@@ -331,7 +331,7 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
     ]
 
 
-CREEP_RATE = 0.01  # of the step a decade
+CREEP_RATE = 0.01  # fraction of the step per decade
 COARSE_BITS = 12
 LOW_LIMIT = 18.0  # V; the step needs 20 V
 FREQUENCIES = (0.02, 0.2, 2.0, 10.0)  # Hz
@@ -351,7 +351,7 @@ class Condition:
 
     name: str  #: Middle part of the rows' names.
     words: str
-    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes; the worst one is evaluated.
+    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → axes; the worst axis is evaluated.
     assumed: tuple[str, ...] = (ALONE,)
     mismatch: float = 0.0  #: Deviation of two axes, one in each direction; 0: a single axis.
     reasons: tuple[tuple[str, str], ...] = ()  #: Name of a row, and the reason why it does not hold.

@@ -82,7 +82,7 @@ class Deviation:
 
 
 class Walker:
-    """An inchworm motor that walks over the phase, simulated between the samples, with voltages a sample late."""
+    """An inchworm motor that walks continuously, simulated also between the samples; its voltages are a sample late."""
 
     def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True, plain: bool = False):
         configuration = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)

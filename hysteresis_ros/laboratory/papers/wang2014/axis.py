@@ -34,8 +34,8 @@ CLOSED_FORM = 1e-5
 AMPLITUDE = 0.75e-3  # m, amplitude of the references: ±1 V reaches it at all three frequencies
 NOISE = 1e-6  # m rms
 WIDE = 10.0  # V, limits that stand for an unlimited axis
-CREEP = 0.01  # a decade
-#: Displacement that represents a volt while a voltage is played [m/V].
+CREEP = 0.01  # per decade
+#: Reference that stands for one volt while a voltage waveform is applied [m/V].
 SCALE = 0.75e-3
 RECORDED_CYCLES = {0.25: 3, 0.5: 3, 1.0: 4}
 #: Cycles of each run; the first cycle, from rest, is not evaluated.
@@ -83,7 +83,7 @@ def real(configuration: Configuration) -> Configuration:
 
 
 def play(configuration: Configuration, duration: float, **waveform) -> Recording:
-    """Return a run in which a voltage is played to the plant without any model.
+    """Return a run that applies a voltage waveform to the plant, without any model.
 
     Units: ``duration`` [s].
     """
@@ -153,7 +153,7 @@ def run_sine(configuration: Configuration, frequency: float, amplitude: float, c
 def delayed_reference(configuration: Configuration, recording: Recording) -> np.ndarray:
     """Return the reference for the error, shape (N,) [m]: the received reference, delayed by ``preview``.
 
-    The preview is read from ``configuration``, which is faster than from the text in every recording.
+    The preview is read from ``configuration``, because reading it from the text in every recording is slower.
     """
     preview = int(configuration.node("motion_controller").get("feedforward.preview", 0))
     return delayed(recording["reference"], preview)
@@ -166,5 +166,5 @@ def tracking_error(configuration: Configuration, recording: Recording, start: fl
 
 
 def rms(error) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(error))))

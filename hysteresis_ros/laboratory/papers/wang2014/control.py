@@ -138,7 +138,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
 
 
 def _expected_reduction(paper: bool, full: bool) -> dict:
-    """Return the expected range of a reduction: inside its loop the paper's model is worse than the linear one."""
+    """Return the expected range of a reduction; inside the loop, the paper's model is worse than the linear model."""
     if paper and not full:
         reason = (
             "the model with α = 80 jumps to the branches of the loop from which it was made, and is wrong inside it"
@@ -148,7 +148,7 @@ def _expected_reduction(paper: bool, full: bool) -> dict:
 
 
 def _honest_row(name, group, quantity, values, key, *more, reference=None) -> Claim:
-    """Return a row of the worst of ``values``, a dict of condition to rms in % of the amplitude."""
+    """Return the row with the worst of ``values``, which maps conditions to rms errors in % of the amplitude."""
     high = 0.5 * reference if reference is not None and key == wang.BETTER else None
     return Claim(
         f"honest.{name}.{key}",

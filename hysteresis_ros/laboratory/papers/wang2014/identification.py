@@ -110,13 +110,13 @@ def paper_w(shape: str = "network", size: int | None = None, seed: int = 0) -> P
     )
 
 
-UNITS = 12  # of each network
+UNITS = 12  # hidden units of each network
 PLAYS = 14
 ZONES = 6
 DYNAMIC_VOLTAGE = 0.7  # V, of the sweep
 SWEEP = (0.3, 8.0, 15.0)  # Hz, Hz, s
 DECAYING = (0.3, 8)  # Hz, cycles
-#: Digits of the written numbers of a model.
+#: Digits of a model's numbers in the files.
 DIGITS = 10
 
 
@@ -134,7 +134,7 @@ class Models:
 
 
 def record_decreasing(configuration: Configuration):
-    """Return voltage and displacement of triangles whose amplitude decreases: a major loop and minor ones."""
+    """Return voltage and displacement of triangles whose amplitude decreases: a major loop, then minor loops."""
     frequency, cycles = DECAYING
     values = dict(type="decreasing_triangle", polarity="symmetric", frequency=frequency, cycles=cycles)
     return wang.record(configuration, cycles / frequency, amplitude=wang.VOLTAGE, **values)
@@ -232,7 +232,7 @@ class _Watched(LoopOperator):
 
 
 def training_history(loop: MajorLoop, alpha: float) -> np.ndarray:
-    """Return the smallest rms error so far, of ±1, at each evaluation of a training of f and g, shape (K,)."""
+    """Return the smallest rms error so far (range ±1) at each evaluation of a training of f and g, shape (K,)."""
     watched = _Watched(loop, alpha)
     fit_networks(watched, watched.target, UNITS, np.random.default_rng(0), loop.noise)
     return np.minimum.accumulate(watched.history)
@@ -268,7 +268,7 @@ _LINEAR = ("A", "B", "C", "D", "output_scale", "input_scale", "sample_time")
 
 
 def files(models: Models, text: str) -> dict[str, str]:
-    """Return the texts of the four parameter files: that of ``wang2014`` with replaced models."""
+    """Return the texts of the four parameter files: the text of ``wang2014``, with the models of each file."""
     published = models.published
     linear_gain = published.linear_only.model.dc_gain
     duhem80, dynamics80 = published.parameters

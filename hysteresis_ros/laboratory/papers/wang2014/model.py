@@ -27,7 +27,7 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-SAMPLES = 1000  # samples of a cycle of the truth's element alone, which is rate independent
+SAMPLES = 1000  # samples per cycle of the truth's element alone, which is rate independent
 DECAY = 4.0  # cycles in which the amplitude of the unseen loops falls to 1/e
 UNSEEN_CYCLES = 10
 REVERSALS = (0.0, 0.3)  # fractions of ±1: from the upper end down to the first value, then up to the second
@@ -77,7 +77,7 @@ class Element:
 
 
 def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
-    """Return the rms error (of ±1) of the Duhem equation along a loop, with W3 as intended and as it may be misread."""
+    """Return the rms error (of ±1) of the Duhem equation along a loop, with W3 as intended and as misread."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     rising, falling = (CubicSpline(loop.grid, branch) for branch in (loop.rising, loop.falling))
@@ -183,7 +183,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
 
 
 def _alone(element: Element, alpha: float) -> float:
-    """Return the rms error on the decaying cycles after the undamped one, as a fraction of their range."""
+    """Return the rms error on the decaying cycles, without the undamped cycle, as a fraction of their range."""
     voltage = element.decaying[SAMPLES:]
     truth = element.displacement(voltage)
     error = (element.duhem(alpha).simulate(voltage) - truth)[SAMPLES // 4 :]
@@ -252,7 +252,7 @@ def _openings(records, sample_time) -> list[float]:
 
 
 def predict(configuration: Configuration, voltage) -> np.ndarray:
-    """Return the prediction of a controller's models (hysteresis, linear part) for a voltage [m], shape (N,).
+    """Return the displacement [m] that a controller's models (hysteresis, linear part) predict, shape (N,).
 
     Units: ``voltage`` [V].
     """
@@ -264,7 +264,7 @@ def predict(configuration: Configuration, voltage) -> np.ndarray:
 
 
 def hysteresis_output(configuration: Configuration, voltage) -> np.ndarray:
-    """Return the output of a compensator's hysteresis model for a voltage [m], shape (N,), from rest.
+    """Return the output [m] of a compensator's hysteresis model for a voltage, shape (N,), from rest.
 
     Units: ``voltage`` [V].
     """
@@ -278,7 +278,7 @@ def controller_dynamics(configuration: Configuration) -> LinearParameters:
 
 
 def linear_response(dynamics: LinearParameters, frequency) -> np.ndarray:
-    """Return the frequency response of a linear part in SI, shape (F,), without unit.
+    """Return the dimensionless frequency response of a linear part (SI output over SI input), shape (F,).
 
     Units: ``frequency`` [Hz].
     """
