@@ -11,7 +11,7 @@
 
 voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement; there is only one of the two lags.
 The chain is integrated on a grid finer than the samples, with the voltage held during each sample; the displacement
-between the samples is therefore known, too. With s the voltage as a fraction of its range, the types of hysteresis are
+between the samples is therefore known, too. The types of hysteresis, where s is the voltage divided by its range, are
 
 * ``play``: generalised play operators with different curves for rising and falling, and thresholds that widen with the
   speed of the input [1],

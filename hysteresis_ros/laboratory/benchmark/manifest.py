@@ -46,7 +46,7 @@ RECORDING = {
     "test": "part for the test",
 }
 PART = {"file": "name below the folder of the recordings", "sha256": "checksum of the file", "range": "FIRST:LAST"}
-#: Largest relative difference of the sample times of both parts, and fewest turning points of an input.
+#: Largest relative difference between the sample times of both parts; least number of turning points of an input.
 SAME_RATE, TURNS = 1e-3, 2
 
 

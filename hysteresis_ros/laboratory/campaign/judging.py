@@ -38,7 +38,7 @@ SLACK = 0.5
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of the figures of an axis; times are those of the wall clock."""
+    """Bounds of the figures of an axis; all times are wall-clock times."""
 
     minimum: float  #: minimum, maximum, safe: Limits of the voltage, and the safe voltage [V].
     maximum: float

@@ -48,7 +48,7 @@ class Mishap:
     victim: str = ""  #: Target: a node or a topic.
     amounts: tuple[float, ...] = (0.0,)  #: Amounts of the action, in its unit; each is executed once.
     ways: tuple[str, ...] = WAYS  #: Entries of :data:`WAYS` to which the case applies.
-    elsewhere: str = ""  #: Why the case does not apply to the other ways.
+    elsewhere: str = ""  #: Why the case does not apply to the other ways of running.
     #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out plus the time of its return to the safe
     #: value; empty: no such requirement.
     safe: str = ""
@@ -57,8 +57,8 @@ class Mishap:
     #: Fault that a fused axis injects itself, one of :data:`hysteresis_ros.loop.faults.FAULTS`; empty: the action
     #: causes the fault, as with nodes that exchange messages.
     fault: str = ""
-    graph: str = ""  #: One of :data:`GRAPHS`, or empty; a fault case shares its axis only with cases of the same graph.
-    rate: float = 0.0  #: Sample rate [Hz]; 0: that of the campaign.
+    graph: str = ""  #: One of :data:`GRAPHS`, or empty; only cases with the same entry share an axis.
+    rate: float = 0.0  #: Sample rate [Hz]; 0: the rate of the campaign.
 
 
 def chosen_ways(text: str) -> list[str]:

@@ -66,7 +66,7 @@ class Results:
     after: Conditions
 
     def and_of(self, other: Results) -> Results:
-        """Return these results together with those of another campaign."""
+        """Return these results together with the results of another campaign."""
         if other.config != self.config:
             raise ConfigurationError(
                 f"the results to add are of {other.config}, these are of {self.config}: add results of "

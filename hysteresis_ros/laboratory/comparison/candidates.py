@@ -95,7 +95,7 @@ def _is_of(name: str, kind: str) -> bool:
 
 #: Smallest measurement noise of a design, as a fraction of the stroke; a Kalman filter needs some noise.
 LEAST_NOISE = 1e-6
-#: Number of periods of the reference for the tuning of a PID.
+#: Number of reference periods for tuning a PID.
 TUNING_PERIODS = 8
 #: Pairs of a controller's name and a kind of learning.
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
@@ -151,7 +151,7 @@ class Candidate:
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
     refused: str = ""  #: Reason why the candidate cannot be designed; empty if it can.
-    margins: Margins | None = None  #: Margins of its loop with its own model.
+    margins: Margins | None = None  #: Margins of the candidate's loop with its own model.
     #: Unmet requirements of its loop, with its own model or with a mismatch of gain and times; empty if all are met.
     marked: str = ""
     learning: str = ""  #: Kind of learning from period to period; empty: no learning.

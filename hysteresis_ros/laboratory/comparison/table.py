@@ -101,7 +101,7 @@ COSTS = (
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
-#: Controller whose best row is plotted beside the benchmark and the best row of all.
+#: Controller whose best row is plotted, in addition to the benchmark and the best row of all.
 SHOWN = "feedforward"
 
 

@@ -259,8 +259,8 @@ class _ForeignInLoop(ActuatorPlant):
 
 #: Number of delays that are tried, from 0 to the longest; a parabola interpolates between the best ones.
 DELAYS = 41
-#: Largest RMS difference between two consecutive periods of a stable loop, as a fraction of the RMS reference. A stable
-#: loop becomes periodic, and its noise is far smaller.
+#: Largest RMS difference between two consecutive periods of a stable loop, as a fraction of the reference's standard
+#: deviation. A stable loop becomes periodic, and its noise is far smaller.
 LOST = 0.1
 #: A limit cycle may lock to the period of the reference; it is detected when the voltage is at its limits for at least
 #: this fraction of the time.
@@ -275,7 +275,7 @@ class Followed(NamedTuple):
     time: np.ndarray  #: shape (N,); Evaluated times [s].
     displacement: np.ndarray  #: shape (N,); True displacement [m].
     effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
-    chattering: float  #: ``chattering_m`` of the command [m rms], as in the same function.
+    chattering: float  #: Chattering of the command [m rms], ``chattering_m`` of the same function.
     saturated: float  #: Fraction of the evaluated samples at which the voltage is at a limit.
     #: Whether the plant tripped, its motion was not periodic, or the voltage alternated between the limits.
     unstable: bool
@@ -321,7 +321,7 @@ def followed(signals: dict[str, np.ndarray], plant: DrawnPlant, task: Task) -> F
 
 @dataclass(frozen=True)
 class Result:
-    """One candidate on one task, over all plants."""
+    """Results of one candidate on one task, for all plants."""
 
     #: rms, maximum: shape (plants,); RMS and largest error against the reference delayed by the row's own constant
     #: delay, as fractions of the stroke.

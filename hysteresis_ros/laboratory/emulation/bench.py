@@ -9,9 +9,9 @@
 
 """The inside of an emulated device: a plant with its own clock, an amplifier, a servo, and faults.
 
-Faults are written like those of an axis, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's own
-clock, from its start or from the instant at which the fault is added. A fault of single lines affects the first lines
-that are sent during the fault; its value is the number of these lines.
+Faults are written like the faults of an axis, ``NAME:START:DURATION[:VALUE]``. Times are in seconds of the device's own
+clock, from the start of the device or from the instant at which the fault is added. A fault of single lines affects the
+first lines that are sent during the fault; its value is the number of these lines.
 """
 
 from __future__ import annotations

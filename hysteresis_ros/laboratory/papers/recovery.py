@@ -9,8 +9,8 @@
 
 """Results of the three papers' identification procedures on simulated plants, as quoted in the documentation.
 
-The simulated plant is never of the class of the fitted model, except for paper B, for which the parameters of the plant
-must be recovered.
+The class of the simulated plant always differs from the class of the fitted model, except for paper B, whose procedure
+must recover the parameters of the plant.
 """
 
 from __future__ import annotations

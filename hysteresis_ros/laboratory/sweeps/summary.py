@@ -9,7 +9,7 @@
 
 """Summary of a sweep: yield, sensitivities and figures, as text and as JSON.
 
-The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it contains all fractions for which the
+The interval of a yield is the Clopper-Pearson interval (Biometrika 26, 1934): it contains all fractions for which the
 observation is sufficiently likely, and covers the true fraction with at least the stated confidence.
 
 SALib computes the sensitivities (Herman and Usher, J. Open Source Software 2 (9), 2017) from runs that are planned for

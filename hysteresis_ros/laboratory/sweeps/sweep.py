@@ -124,7 +124,7 @@ def require_same(path, found: dict[str, Any], asked: dict[str, Any]) -> None:
 
 
 PARQUET, NPZ = ".parquet", ".npz"
-#: Name of the text in a file of results that contains the definition of the sweep.
+#: Key of the sweep's definition in a file of results.
 ABOUT = "hysteresis_sweep"
 EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 

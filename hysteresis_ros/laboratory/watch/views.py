@@ -192,7 +192,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters in use; for models and laws, only those of the selected type."""
+    """Yield the names of the parameters in use; for models and laws, only parameters of the selected type."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:

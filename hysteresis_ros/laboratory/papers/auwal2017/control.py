@@ -363,7 +363,7 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
 
 
 def pole_modulus(configuration: Configuration, delay: int = 0) -> float:
-    """Return the largest modulus of the poles of the paper's PID on the linear part with ``delay`` samples of delay."""
+    """Return the largest pole modulus of the loop of the paper's PID and the linear part, with ``delay`` samples."""
     axis = single_axis(auwal.driven(configuration, "none"))
     control = part(axis.motion_controller, ControllerParameters)
     dynamics = axis.plant_simulator.dynamics

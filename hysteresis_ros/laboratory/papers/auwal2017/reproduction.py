@@ -12,7 +12,7 @@
 The experiments are: the transfer function and its validation (section 2), Bouc-Wen's model and its identification
 (section 3), PID and inverse multiplicative compensation (sections 4 and 5). Then they are repeated within the limits of
 the stack, with model errors, noise, creep, several cycles, other frequencies and the paper's camera, and better
-controllers are compared with those of the paper.
+controllers are compared with the paper's controllers.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@
 
 ``python -m hysteresis_ros.laboratory.papers.wang2014.identification`` makes the recordings, identifies the four models
 and prints what it found; with ``-o DIR`` it writes ``wang2014.yaml`` (Prandtl-Ishlinskii), ``wang2014_duhem.yaml`` (α
-from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. The only parameters of
-the truth that are used are those that an experimenter knows: the range of the voltage and the sample time.
+from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. Only two
+parameters of the truth are used, which an experimenter also knows: the range of the voltage and the sample time.
 """
 
 from __future__ import annotations

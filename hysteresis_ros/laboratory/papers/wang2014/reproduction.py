@@ -11,7 +11,7 @@
 
 The truth is a modified Prandtl-Ishlinskii element with a second-order linear part, never the Duhem model that the paper
 identifies. Four controllers are compared in every row: the paper's linear inverse, its inverse Duhem model with α = 80,
-a Duhem model whose α comes from minor loops, and a Prandtl-Ishlinskii model. Their parameters are those of the files
+a Duhem model whose α comes from minor loops, and a Prandtl-Ishlinskii model. Their parameters come from the files
 ``config/wang2014*.yaml``, which :mod:`.identification` derives from recordings; only the Duhem functions of the element
 alone are identified here (W3).
 """
