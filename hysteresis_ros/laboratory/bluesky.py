@@ -129,7 +129,7 @@ class HysteresisAxis(StandardReadable):
     config : str or path-like
         Configuration of the axis, which already runs (``hysteresis up CONFIG --reference hold``).
     namespace : str
-        The axis to use, if the configuration describes several or a stage.
+        The axis to use, if the configuration describes several axes or a stage.
     name : str
         Name of the device.
     unit : str

@@ -85,7 +85,7 @@ def compare(config, *, namespace, workers, json_path, best, outputs, sine, trian
         from hysteresis_ros.analysis.page import require_page
 
         for page in pages:
-            require_page(page)  # before minutes of work
+            require_page(page)  # fail before minutes of work
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
     # the bar is shown only after a while, because an immediate refusal prints just one line
@@ -271,7 +271,7 @@ def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_pa
     if output:
         from hysteresis_ros.analysis.page import require_page
 
-        require_page(output)  # before minutes of work
+        require_page(output)  # fail before minutes of work
     specs = tuple(dict.fromkeys(specs)) or models.COMPARED
     for spec in specs:
         models.load_model(spec)
@@ -359,7 +359,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     if output is not None:
         from hysteresis_ros.analysis.page import require_page
 
-        require_page(output)  # before minutes of work
+        require_page(output)  # fail before minutes of work
     module = importlib.import_module(EXPERIMENTS[experiment])
     with contextlib.ExitStack() as stack:
         if way == "offline":

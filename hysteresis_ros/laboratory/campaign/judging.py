@@ -44,7 +44,7 @@ class Bounds:
     maximum: float
     safe: float
     step: float  #: Largest change of the voltage between two samples [V], including one bit of the converter.
-    sample_time: float  #: Sample time, in the time of the stamps [s].
+    sample_time: float  #: Sample time on the clock of the stamps [s].
     low: float  #: low, high: Setpoints [m].
     high: float
     stroke: float  #: Range from the lowest to the highest reference [m].

@@ -158,7 +158,7 @@ def line(verdict: Verdict) -> str:
 
 
 def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
-    """Return the cell of a fault case in a way of running."""
+    """Return the table cell of a fault case for one way of running."""
     if way not in mishap.ways:
         return f"does not apply: {mishap.elsewhere}"
     if not verdicts:

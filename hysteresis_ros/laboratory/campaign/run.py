@@ -49,7 +49,7 @@ class Campaign:
     config: str  #: Path or name of the configuration.
     mishaps: tuple[Mishap, ...]
     ways: tuple[str, ...]
-    rounds: int  #: Repetitions of each case, each at other random times.
+    rounds: int  #: Number of repetitions of each case, each at new random times.
     seed: int  #: Seed of the random times.
     folder: pathlib.Path  #: Folder for temporary files.
     rate: float = 0.0  #: Sample rate of cases that do not set their own [Hz]; 0: that of the configuration.

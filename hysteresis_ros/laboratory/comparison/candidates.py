@@ -111,7 +111,7 @@ class Known:
 
     configuration: Configuration  #: One axis.
     noise: float = 0.0  #: Noise of the sensor [m rms], by its data sheet.
-    #: Uncertainty of the identified response; designs of learning use it like ``hysteresis design``. None: not known.
+    #: Uncertainty of the identified response; designs of learning use it, as ``hysteresis design`` does. None: unknown.
     response: ResponseUncertainty | None = field(default=None, compare=False)
 
     @property

@@ -86,7 +86,7 @@ def _integral(given) -> dict:
 
 
 def _sliding_mode(given, disturbance: str, **more) -> dict:
-    """Return a sliding mode controller with this disturbance model, and parameters of ``sliding_mode`` by name."""
+    """Return a sliding mode controller with this disturbance model; ``more`` are parameters of ``sliding_mode``."""
     changes = {"type": "sliding_mode", **given.kalman(disturbance)}
     changes |= {f"sliding_mode.{name}": value for name, value in more.items()}
     return _gains(given, changes, reaching_law)

@@ -233,7 +233,7 @@ def _tuned(trial: Trial) -> PidParameters:
             if followed(gains(values, GAIN_MARGIN)).unstable or followed(gains(values), late).unstable:
                 return np.inf
             runs = {task: [followed(gains(values), task=task)] for task in trial.tasks}
-        except ParameterError:  # gains that no plant tolerates
+        except ParameterError:  # the controller does not accept these gains
             return np.inf
         results = judged(runs, best_delay(runs, trial.conditions.longest_delay), trial.stroke)
         return float(np.mean([np.log(result.worst) for result in results.values()]))
@@ -369,7 +369,7 @@ def identified(recording: Recording, bench: Bench) -> Known:
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
     configuration = configuration.override("hysteresis_compensator", **limits)
-    # a jump to the first reference would reach the slew rate, and no task evaluates it
+    # a jump to the first reference, which no task evaluates, would reach the limit of the slew rate
     return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits, bench.noise)
 
 

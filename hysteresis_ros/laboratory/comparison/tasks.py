@@ -340,7 +340,7 @@ class Result:
 
 
 def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float:
-    """Return the constant delay [s] with the smallest score of the runs, common to all references and plants."""
+    """Return the constant delay [s], common to all references and plants, with the smallest score of the runs."""
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
     best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)

@@ -228,7 +228,7 @@ class Axis:
         self.wave, self._cycles, self._rate, self._played = wave, cycles, rate, 0
 
     def stop(self) -> None:
-        """Stop the wave generator, and the servo at the present position."""
+        """Stop the wave generator, and hold the servo at the present position."""
         if self.generating:
             self.wave = []
             self.open_value = self._servo.voltage

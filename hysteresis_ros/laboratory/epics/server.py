@@ -71,7 +71,7 @@ WRITTEN = {
     "jog_motor_forward": "JOGF",
     "jog_motor_reverse": "JOGR",
 }
-#: Fields whose writing is confirmed to a waiting client at the end of the move.
+#: Fields for which a waiting client gets its confirmation at the end of the move.
 MOVING = ("VAL", "DVAL", "RLV", "TWF", "TWR")
 
 

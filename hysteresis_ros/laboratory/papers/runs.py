@@ -46,7 +46,7 @@ def triangles(peaks, samples: int = 250) -> np.ndarray:
     return np.concatenate([[0.0], *(peak * np.concatenate([rise, 1.0 - rise]) for peak in peaks)])
 
 
-#: Runs an axis from rest, for the length in its parameters, and returns a recording.
+#: Runs an axis from rest, for the duration in its parameters, and returns a recording.
 Runner = Callable[[AxisParameters], Recording]
 
 _runner: contextvars.ContextVar[Runner] = contextvars.ContextVar("runner", default=simulate)
@@ -175,7 +175,7 @@ class GraphRunner:
                 raise
 
     def __call__(self, axis: AxisParameters) -> Recording:
-        """Run an axis from rest, for the length in its parameters."""
+        """Run an axis from rest, for the duration in its parameters."""
         text = axis.configuration_text()
         if text not in self._found:
             with self._lock:

@@ -521,7 +521,7 @@ class Variation:
 def parse_variations(
     vary: Sequence[str] | Mapping[str, str | Range | Sequence], axis: AxisParameters
 ) -> tuple[Variation, ...]:
-    """Return the variations of texts ``NODE.PARAMETER=RANGE``, or of a mapping from ``NODE.PARAMETER`` to ranges."""
+    """Return the variations from texts ``NODE.PARAMETER=RANGE``, or from a mapping of ``NODE.PARAMETER`` to ranges."""
     given: list[tuple[str, str | Range]] = []
     if isinstance(vary, str):
         raise refused(vary, "", "must be a list of NODE.PARAMETER=RANGE, or a mapping from NODE.PARAMETER to its range")

@@ -211,7 +211,7 @@ def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
 
 
 def table_of(node: str, values: Mapping) -> list[dict]:
-    """Return the rows of the parameters of a node that may change while it runs."""
+    """Return the rows of those parameters of a node that may change while the node runs."""
     shared = {row.name for row in NodeParameters.table()}
     used = {
         name

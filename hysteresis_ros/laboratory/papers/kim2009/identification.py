@@ -172,7 +172,7 @@ def structure(excited: Recording) -> tuple[FrequencyResponse, MatrixFractionFit]
 
 
 def prediction(case: PaperK) -> Recording:
-    """Return the decreasing triangle as a run: the stack's displacement, and the model's one as ``estimated``."""
+    """Return the decreasing triangle as a run, with the stack's displacement and the model's (``estimated``)."""
     time = SAMPLE_TIME * np.arange(case.voltage.size)
     return Recording(time, {"voltage": case.voltage, "displacement": case.truth, "estimated": case.predicted})
 

@@ -200,7 +200,7 @@ def _picard_words(rate: float, steps: int) -> str:
 
 
 def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
-    """Return the rows of Picard's iteration on the bare branches.
+    """Return the rows of Picard's iteration on the branches without memory.
 
     Units: ``stroke`` [m].
     """

@@ -21,7 +21,7 @@ from hysteresis_ros.laboratory.papers.claims import Claim
 from hysteresis_ros.laboratory.papers.wang2014 import axis as wang
 from hysteresis_ros.recordings.dataset import Recording
 
-HONEST = "π"  # rad/s of the rows under realistic conditions, unless they say otherwise
+HONEST = "π"  # rad/s of the rows under realistic conditions, unless a row names another frequency
 MISMATCHES = (0.01, 0.05)
 MISMATCHED_CYCLES = 1.5
 MANY_CYCLES = 10
