@@ -162,7 +162,7 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    # separate nodes send samples as messages, which may be lost on a busy machine
+    # separate nodes exchange messages, which may be late on a busy machine, so that samples are missing
     missing = run.metadata["missing_samples"] if rig.way == FUSED else 0
     if lost > LOST or missing:
         rig.broken.append(f"the recording lacks its last {lost:.2f} s, and {missing} samples before them")

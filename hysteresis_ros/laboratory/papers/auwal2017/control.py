@@ -363,7 +363,7 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
 
 
 def pole_modulus(configuration: Configuration, delay: int = 0) -> float:
-    """Return the largest pole modulus of the loop of the paper's PID and the linear part, with ``delay`` samples."""
+    """Return the largest pole modulus of the paper's PID with the linear part and ``delay`` samples of delay."""
     axis = single_axis(auwal.driven(configuration, "none"))
     control = part(axis.motion_controller, ControllerParameters)
     dynamics = axis.plant_simulator.dynamics
