@@ -61,9 +61,8 @@ def polymer_truth(plays: int = 40) -> PrandtlIshlinskiiParameters:
 class PaperW:
     """Duhem model of a modified Prandtl-Ishlinskii element; errors as a fraction of the full range."""
 
-    identified: (
-        DuhemIdentification  #: identified, published: Models with α from a decaying loop, and with the paper's α = 80.
-    )
+    #: identified, published: Models with α from a decaying loop, and with the paper's α = 80.
+    identified: DuhemIdentification
     published: DuhemIdentification
     inverse: DuhemIdentification  #: Inverse model, from step W4.
     opening: float  #: Loop width.
