@@ -260,7 +260,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
             f"{configuration.source}: its feedforward was designed for its present controllers: give --feedforward too"
         )
     if request.feedforward and namespace:
-        raise ConfigurationError("--feedforward of a stage is that of all its axes: omit --namespace")
+        raise ConfigurationError("--feedforward of a stage is designed for all axes together: omit --namespace")
     with shown("designing"):
         designs = design_controllers(parameters, request, known, namespace or None)
         text = controllers_file(configuration, designs, f"--controller {request.controller}")

@@ -290,7 +290,7 @@ def _row(row: dict) -> str:
     part = 100.0 * row["skipped"] / row["samples"]
     verdict = "held" if row["held"] else "not held"
     if row["spin_s"]:
-        verdict += f"; looks from {1e6 * row['spin_s']:.0f} µs before, {100.0 * row['spin_of_a_core']:.2g} % of a core"
+        verdict += f"; polls from {1e6 * row['spin_s']:.0f} µs before, {100.0 * row['spin_of_a_core']:.2g} % of a core"
     return f"  {row['rate_hz']:>6g} Hz: late {late} µs; {row['skipped']} skipped ({part:.2g} %): {verdict}"
 
 

@@ -98,8 +98,8 @@ class FitState:
 @click.option(
     "--response",
     type=click.Path(path_type=pathlib.Path),
-    help="Stage: response matrix of `hysteresis frf` (.npz); the dynamics are fitted to it instead of to that of the "
-    "recording.",
+    help="Stage: response matrix of `hysteresis frf` (.npz); the dynamics are fitted to it instead of to the "
+    "response matrix of the recording.",
 )
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options

@@ -170,8 +170,8 @@ def data_options(command):
                 metavar="NAME[:UNIT]",
                 help="Output column, e.g. cap_sensor_um:um; of a stage repeated for each sensor.",
             ),
-            click.option("--input-unit", metavar="UNIT", help="Unit of the input, e.g. A; kept to the end."),
-            click.option("--output-unit", metavar="UNIT", help="Unit of the output, e.g. N; kept to the end."),
+            click.option("--input-unit", metavar="UNIT", help="Unit of the input, e.g. A, also in results."),
+            click.option("--output-unit", metavar="UNIT", help="Unit of the output, e.g. N, also in results."),
             click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
             click.option(
                 "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."

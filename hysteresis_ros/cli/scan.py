@@ -183,7 +183,7 @@ def _lines(figures: dict[str, Any]) -> list[str]:
         f"{readable(figures['period_s'], 's')}",
         f"lines      {figures['lines']} of {figures['pixels']} pixels{steady}",
         f"99.99 % of the power of the motion is below {figures['bandwidth_hz']:.4g} Hz",
-        "limits     " + ("none of the motion" if best is None else f"allow up to {best:.4g} Hz (frames per second)"),
+        "limits     " + ("set no bound" if best is None else f"allow up to {best:.4g} Hz (frames per second)"),
         "",
         f"{'axis':<6}{'from … to [µm]':>22}{'velocity [mm/s]':>18}{'acceleration [m/s²]':>22}{'jerk [m/s³]':>16}",
     ]

@@ -225,7 +225,7 @@ class ControllerParameters(Parameters):
         0.05,
         unit="s",
         low=0.0,
-        description="Time constant with which the command moves to that of a new controller or new gains; "
+        description="Time constant with which the command moves to the command of a new controller or new gains; "
         "0: immediately",
     )
     learning: LearningParameters = group(LearningParameters)

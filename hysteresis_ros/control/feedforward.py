@@ -604,7 +604,7 @@ class FeedforwardParameters(Parameters):
         choices=("none", "static", "velocity", "inverse_dynamics"),
         read_only=True,
         description="none, static (the delayed reference itself: the model has unit DC gain), velocity (the reference "
-        "ahead by the mean delay of model.dynamics, by its velocity; for smooth references that are not known ahead), "
+        "shifted by the mean delay of model.dynamics, with its velocity; for smooth references not known ahead), "
         "or inverse_dynamics (stable inversion of model.dynamics; needs preview)",
     )
     preview: int = parameter(
@@ -613,7 +613,7 @@ class FeedforwardParameters(Parameters):
         high=10000,
         read_only=True,
         description="number of samples by which the received reference is ahead; the controller follows the "
-        "reference delayed by it",
+        "reference delayed by this number",
     )
 
     @property

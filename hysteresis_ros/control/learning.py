@@ -71,7 +71,7 @@ class LearningParameters(Parameters):
     error_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of Q L, from the tap of the error furthest ahead to that of the oldest error",
+        description="taps of Q L, from the tap of the error furthest ahead to the tap of the oldest error",
     )
     lead: int = parameter(
         0, low=0, high=LONGEST, read_only=True, description="lead of the first tap of error_filter [samples]"

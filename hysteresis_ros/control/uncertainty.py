@@ -381,7 +381,7 @@ class ResponseUncertainty:
         onwards = float(frequencies[np.argmax(height >= 0.99 * most)])
         return (
             f"above {self.known_to:.3g} Hz the plant is unknown; a resonance of damping {DAMPING:g} is "
-            f"assumed anywhere there, from {onwards:.3g} Hz on {most:.3g} times as high as the response at rest "
+            f"assumed anywhere there, with a peak of {most:.3g} times the response at rest from {onwards:.3g} Hz on "
             "(nearer resonances would be visible), so the gain of the feedback there must be below "
             f"{(1.0 - KEPT) / most:.2g}"
         )

@@ -647,8 +647,8 @@ def design_lines(result: AxisDesign) -> list[str]:
         ("phase crossover", ", ".join(f"{value:.4g}" for value in found.phase_crossovers) + " Hz"),
         ("sensitivity peak M_s", f"{found.sensitivity_peak:.3f}"),
         ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
-        ("noise in displacement", f"{found.noise_gain:.3g} of the sensor's"),
-        ("noise in command", f"{found.command_noise_gain:.3g} of the sensor's"),
+        ("noise in displacement", f"{found.noise_gain:.3g} times the sensor's noise"),
+        ("noise in command", f"{found.command_noise_gain:.3g} times the sensor's noise"),
         ("requirements", f"NOT MET: {'; '.join(result.misses())}" if result.misses() else f"met ({_required()})"),
         (
             "closed-loop poles",

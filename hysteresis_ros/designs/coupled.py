@@ -182,7 +182,7 @@ def _calmed(
         if not slower.misses():
             possible = f"{designs[name].margins.bandwidth:.4g} Hz are possible"
             said = f"the slow axis of the raster needs no more than {band:g} Hz, {possible}: the noise of its sensor "
-            said += "moves it less; --bandwidth requests another"
+            said += "then moves it less; --bandwidth requests another bandwidth"
             return {**designs, name: replace(slower, calmed=said)}
     return designs
 

@@ -399,7 +399,7 @@ def applied(parameters: StageParameters) -> np.ndarray:
         if given.file:
             own = read_learned(given.file).correction
             if paths.shape[1] % len(own):
-                raise ConfigurationError(f"{given.file}: its period is not that of the scan: learn again")
+                raise ConfigurationError(f"{given.file}: its period differs from the period of the scan: learn again")
             found[place] = np.tile(own, paths.shape[1] // len(own))
     return found
 

@@ -375,7 +375,7 @@ class DampedDesign:
             (off, f"bandwidth {slowest:.4g} Hz, M_s {worst:.3f}, of both {both:.3f}, delay margin {late:.3g} samples"),
         ]
         if self.undamped is not None:
-            words = f"{self.undamped:.4g} Hz; with it {self.times:.3g} times that"
+            words = f"{self.undamped:.4g} Hz; with damping {self.times:.3g} times this bandwidth"
             found.append(("bandwidth without damping", words))
         return found
 

@@ -159,7 +159,7 @@ def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_r
         value, given = quantity(text)
         if given not in ("", unit, "m"):
             raise ValueError(
-                f"must be in {unit}, in m, or without unit a fraction of the range, such as {part_of_range:g}"
+                f"must be in {unit} or m, or a fraction of the range without a unit, such as {part_of_range:g}"
             )
     except ValueError as error:
         raise ConfigurationError(f"{option} {text!r}: {error}") from None

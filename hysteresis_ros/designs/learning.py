@@ -119,7 +119,7 @@ def asked(options: dict) -> LearningRequest | None:
         if name not in TAKES:
             raise ConfigurationError(
                 f"--{name} and --learning exclude each other, because learning uses the controller of the "
-                "file; design that one first"
+                "file; design the controller first"
             )
     kinds = (*sorted(KINDS), COUPLED)
     if kind not in kinds:
@@ -375,7 +375,7 @@ def knocked(loop: Response) -> int:
 
 def waveform_period(axis: AxisParameters) -> float:
     """Return the period of the configured waveform [s]."""
-    missing = "--period is missing: {} has no period; give that of the reference [s]"
+    missing = "--period is missing: {} has no period; give the period of the reference [s]"
     waveform = axis.require_generator(missing.format("a sequencer")).waveform
     if waveform.type not in PERIODIC or not waveform.frequency > 0.0:
         raise ConfigurationError(missing.format(f"waveform.type {waveform.type}"))
@@ -391,7 +391,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
     filters, given, ranges = result.filters, result.parameters, result.request.possible
     rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
     nominal = result.rate(result.response.model[np.newaxis])
-    noisy = f"; up to {filters.highest * rate:.4g} Hz contract, but noise would add more" if filters.highest else ""
+    noisy = f"; it contracts up to {filters.highest * rate:.4g} Hz, but noise would add more" if filters.highest else ""
     if result.unweighed:
         noisy = f"; noise is not weighed, because the file has no waveform of {given.period:g} s (reference_generator)"
     limited = f"|Q - G T| + {UNSEEN:g} |G|, at most {1.0 - MARGIN:g}"
@@ -400,7 +400,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
         ("period", f"{given.period:g} s, {round(given.period * rate)} samples"),
         ("bandwidth of learning", f"{filters.bandwidth * rate:.4g} Hz{noisy}"),
         ("taps", f"{len(filters.error)} of the error, {2 * len(filters.robustness) - 1} of Q"),
-        ("looks ahead", f"{filters.lead} samples"),
+        ("lead of the filter", f"{filters.lead} samples"),
         ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz ({limited})"),
         ("on the model", f"{filters.nominal:.3f}"),
         ("plants", f"{len(result.response.possible)}: {_ranges(ranges)}"),

@@ -359,7 +359,7 @@ def command_responses(
     """
     if names != parameters.names:
         raise ConfigurationError(
-            f"--response: is of the axes {', '.join(names)}, but the stage has {', '.join(parameters.names)}"
+            f"--response: has the axes {', '.join(names)}, but the stage has {', '.join(parameters.names)}"
         )
     step = 1.0 / parameters.sample_rate
     gains = [hysteresis_block(axis.hysteresis_compensator.hysteresis, step).gain for axis in parameters.axes]

@@ -413,7 +413,7 @@ def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> Res
     axes, found = load_stage_response(path)
     if axes != names:
         raise IdentificationError(
-            f"{path}: is of the axes {', '.join(axes)}, but the recording has {', '.join(names)}; measure the stage of "
+            f"{path}: has the axes {', '.join(axes)}, but the recording has {', '.join(names)}; measure the stage of "
             "the recording, or give the same names with --axes"
         )
     step = found.response.sample_time

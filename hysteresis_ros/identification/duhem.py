@@ -550,7 +550,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     elif alpha is None:
         alpha, source = PUBLISHED_ALPHA, "paper"
         warnings.append(
-            f"no minor loops: alpha = {alpha:g} is the paper's; it reproduces only the major loop, and after a "
+            f"no minor loops: alpha = {alpha:g} is the paper's value; it reproduces only the major loop, and after a "
             "reversal inside it the output first moves in the wrong direction; record loops of decaying amplitude"
         )
     operator, target = _operator(loop, alpha)

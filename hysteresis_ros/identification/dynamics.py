@@ -1158,7 +1158,7 @@ def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
         for name, value, end in ends:
             if abs(value - end) <= AT_BOUND * end:
                 found.append(
-                    f"mode {mode.frequency:.4g} Hz: its {name} = {value:.3g} is the end of the search: the recording "
+                    f"mode {mode.frequency:.4g} Hz: its {name} = {value:.3g} is at a search bound: the recording "
                     "does not determine this mode; record a multisine that excites it (hysteresis excite --recipe "
                     "multisine), or leave modes out (--linear lag,delay,creep)"
                 )

@@ -687,7 +687,8 @@ def load_response(path) -> Analysis:
         if "axes" not in held:
             return _response_of(held)
     raise RecordingError(
-        f"{path}: is the response matrix of a stage, and a response of a single axis is needed; hysteresis design "
+        f"{path}: contains the response matrix of a stage, but the response of a single axis is needed; "
+        "hysteresis design "
         "STAGE --response takes the matrix, and hysteresis identify takes the recording of the stage"
     )
 

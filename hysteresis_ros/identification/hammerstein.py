@@ -434,7 +434,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters form a valid model; if there are none, raise the error of the first fit."""
+    """Return the fits whose parameters form a valid model; if no fit does, raise the error of the first fit."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])

@@ -207,7 +207,7 @@ USUAL_UNITS = ("V", "m")
 def _other_units(units: tuple[str, str]) -> str:
     """Return a sentence that states what V and m mean in the file of another kind of actuator."""
     meant = [f"{there} stands for {own}" for there, own in zip(USUAL_UNITS, units, strict=True) if there != own]
-    return f"the parameters, their descriptions and the nodes speak of V and m: here {' and '.join(meant)}"
+    return f"the parameters, their descriptions and the nodes use V and m: here {' and '.join(meant)}"
 
 
 def file_text(result: Identification, section: dict, excited: float = 0.0) -> str:

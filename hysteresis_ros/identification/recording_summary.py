@@ -324,7 +324,7 @@ def _closest(data: IdentificationData, turn: float) -> str:
     at = readable(turn, data.input_unit)
     return (
         f"closest is prandtl_ishlinskii, with an RMS error of about {whole:.2g} % of the stroke; it describes one "
-        f"side: record between {at} and {high}, or between {low} and {at} (one of them with --negate)"
+        f"side: record between {at} and {high}, or between {low} and {at} (one of the two ranges with --negate)"
     )
 
 

@@ -107,9 +107,7 @@ class ResponseCheck:
         why = f"the response at {there:.4g} Hz is known only to {percent:.0f} %"
         if self.ringing and (there > self.uncertainty.known_to or self.seen * FASTER >= self.believed):
             why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has no resonance"
-        slower = (
-            f"it is fit up to {self.certain:.3g} Hz" if self.certain else "a slower loop is not known to be safe either"
-        )
+        slower = f"it is fit up to {self.certain:.3g} Hz" if self.certain else "a slower loop may be unsafe too"
         crossover = f"with a crossover of {self.believed:.3g} Hz, which the model would allow"
         return f"not fit for feedback {crossover}: {why}; {slower}"
 

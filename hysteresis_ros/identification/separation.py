@@ -160,7 +160,7 @@ def remanence(voltage: float) -> str:
 
     Units: ``voltage`` [V].
     """
-    return f"remanent before the recording, as after {readable(voltage, 'V')}, which was identified with the fit"
+    return f"remanent before the recording, as after {readable(voltage, 'V')}; this voltage was identified with the fit"
 
 
 class _PastTrials:

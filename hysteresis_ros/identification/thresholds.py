@@ -53,7 +53,7 @@ SETTLED_START = Threshold(
 DELAY_OR_LAG = Threshold(
     0.05,
     RESIDUAL,
-    "Stages usually have a lag: a delay must be visible, and both together must be better than either alone.",
+    "Positioners usually have a lag: a delay must be visible, and both together must be better than either alone.",
 )
 LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "An additional lag after a plain gain also fits noise a little.")
 FAST_DYNAMICS = Threshold(

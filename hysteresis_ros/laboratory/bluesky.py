@@ -286,7 +286,7 @@ class HysteresisAxis(StandardReadable):
                 shown = [f"{one / settings.metres:g}" for one in (position, settings.tolerance, target)]
                 raise HysteresisError(
                     f"{self.name}: {shown[0]} {settings.unit} after {allowed:g} s, not {shown[2]} ± {shown[1]}; "
-                    "give a larger tolerance, or a controller"
+                    "give a larger tolerance, or use a controller"
                 )
             if now - told >= TELL:
                 told = now

@@ -245,12 +245,12 @@ def _results_and_page(outputs):
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML page.")
 @click.option("--list", "listed", is_flag=True, help="Only list recordings (source, licence) and models.")
 def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_path, csv_path, output, listed):
-    """Fit models of hysteresis to recordings and test them on parts that they have not seen.
+    """Fit models of hysteresis to recordings and test them on parts that were not used for the fit.
 
     MANIFEST lists the recordings, with checksums and the parts for fit and test; without it the list of public
-    recordings that comes with the package is used. Nothing is fetched: --list tells where to get the files, --data
-    where they are. Synthetic plants are made on the spot and need no files. Your own model is a class with fit(data)
-    and predict(input).
+    recordings that comes with the package is used. Nothing is downloaded: --list shows where to get the files, --data
+    names their folder. Synthetic plants are made on the spot and need no files. Your own model is a class with
+    fit(data) and predict(input).
     """
     from hysteresis_ros.errors import HysteresisError, RecordingError
     from hysteresis_ros.files import write_text
@@ -408,7 +408,7 @@ def _reproduce_through_nodes(module, jobs: int | None):
     type=click.FloatRange(1.0, 1e5),
     default=None,
     metavar="HZ",
-    help="Sample rate instead of that of the file; losses of nodes are also tested at 10, 200 and 3000 Hz.",
+    help="Sample rate; default: that of the file. Losses of nodes are also tested at 10, 200, 3000 Hz.",
 )
 @click.option("--list", "listed", is_flag=True, help="List the fault cases without running them.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Markdown page for all results.")
@@ -516,7 +516,7 @@ def watch(config, namespace, port, bind, folder):
 @click.option(
     "--tolerance",
     type=float,
-    help="Distance from the target within which a move has arrived [EGU]; by default trajectory.goal_tolerance.",
+    help="Distance from the target within which a move is complete [EGU]; by default trajectory.goal_tolerance.",
 )
 @click.option(
     "--timeout",

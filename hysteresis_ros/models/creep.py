@@ -50,7 +50,7 @@ class LogarithmicCreepParameters(Parameters):
         0.1, description="t_0: time after a unit step at which the response is defined as 1", unit="s", low=1e-6
     )
     longest_time: float = parameter(1000.0, description="time up to which the law holds", unit="s", low=1e-6)
-    operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
+    operators_per_decade: int = parameter(2, description="operators per decade", low=1, high=10, read_only=True)
 
     def check(self):
         """Yield a Problem if the time range is empty."""

@@ -358,7 +358,7 @@ class SliderParameters(Parameters):
             remedy = f"must lie within the travel minimum … maximum = {self.minimum:g} … {self.maximum:g} m"
             yield Problem("start", self.start, remedy)
         if self.substeps == 0 and not self.damping > 0.0:
-            remedy = "as many steps as needed to resolve slider.damping: set it above 0, e.g. 0.03"
+            remedy = "chooses as many steps as slider.damping needs: set slider.damping above 0, e.g. 0.03"
             yield Problem("substeps", self.substeps, remedy)
 
 

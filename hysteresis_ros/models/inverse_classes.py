@@ -133,7 +133,7 @@ model : Hysteresis or HysteresisParameters
     The compensator's own model of the actuator; its state is separate.
 {described(rows, required)}
 sample_time : float, optional
-    Sample time [s]; that of the model by default.
+    Sample time [s]; by default, the sample time of the model.
 
 Raises
 ------

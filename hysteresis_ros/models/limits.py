@@ -43,7 +43,7 @@ class LimitsParameters(Parameters):
     minimum: float = parameter(description="lowest voltage", unit="V")
     maximum: float = parameter(description="highest voltage", unit="V")
     slew_rate: float = parameter(0.0, description="largest change of the voltage; 0: unlimited", unit="V/s", low=0.0)
-    bits: int = parameter(0, description="bits of the converter over minimum … maximum; 0: none", low=0, high=32)
+    bits: int = parameter(0, description="bits of the converter for this range; 0: no quantisation", low=0, high=32)
 
     def check(self):
         """Yield a Problem if the range is empty."""

@@ -148,7 +148,7 @@ class Lockstep(Runner):
             return False  # the sample was sent before the reset; sample 0 has not arrived yet
         if index == 0:
             place = f"{node.get_name()} is at {node.sample}"
-            node.fail(f"plant_simulator began again at sample 0 while {place}; {TOGETHER}")
+            node.fail(f"plant_simulator restarted at sample 0 while {place}; {TOGETHER}")
         elif index < node.sample:
             node.warn("repeat", f"sample {index} arrived a second time, rejected; the next is sample {node.sample}")
         else:

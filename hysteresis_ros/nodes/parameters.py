@@ -87,7 +87,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
     Symbolic links and ``..`` are resolved first.
     """
     if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
-        remedy = "may name code or any file: only the parameter file or the command line of the node may set it"
+        remedy = "may load code or any file: set it only in the parameter file or on the command line of the node"
         return Problem(row.name, value, remedy)
     if row.place != "files" or not isinstance(value, str) or not value:
         return None

@@ -622,7 +622,7 @@ class PlantSimulatorNode(AxisNode):
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
         text += f", {self.late} late samples ({100.0 * self.late / self.sample:.3g} %)"
         if self.late and self.parameters.time_mode == "fused":
-            text += "; hysteresis report gives the errors with and without the spans that they disturbed"
+            text += "; hysteresis report gives the errors with and without the intervals that late samples disturbed"
         self.get_logger().info(text)
         limited = limited_in_all(self._limited_counts(), self.sample, self.parameters.sample_rate)
         if limited:

@@ -296,7 +296,7 @@ class ReadyTopics:
         self._say(move=self._number, setpoint=setpoint, tolerance=tolerance, dwell=dwell)
         if not self._thread.run(partial(self._predict, self.move, before, after, noise, dwell)):
             self._moved = True
-            why = f"{WAITING} moves wait for their predictions; give moves more time"
+            why = f"{WAITING} moves wait for their predictions; send setpoints less often"
             self._say(move=self._number, predicted=math.nan, why=why)
 
     def look(self, row, number: int) -> None:

@@ -40,7 +40,7 @@ STEP, PERIOD, NOISE = 1e-4, 500, 2e-9
 GAIN = 1e-7 * np.array([[4.0, 0.2], [0.15, 3.0]])
 TIME = 1e-3 * np.array([[0.5, 1.0], [0.8, 0.4]])
 #: Refusal of the commands of a single axis.
-MATRIX = "is the response matrix of a stage"
+MATRIX = "contains the response matrix of a stage"
 
 
 def command(*words, code=0):
@@ -204,7 +204,7 @@ def test_commands_of_a_single_axis_refuse_the_matrix(written, tmp_path):
     wrong = ("design", "xy_scanner", "--response", written[0] / "run.npz", "-o", out)
     assert "contains no response matrix" in command(*wrong, "--controller", "pid", code=2).stderr
     mirror = ("design", "steering_mirror", "--controller", "pid", "--response", response, "-o", out)
-    assert "is of the axes x, y, but the stage has" in command(*mirror, code=2).stderr
+    assert "has the axes x, y, but the stage has" in command(*mirror, code=2).stderr
     assert not out.exists()
 
 

@@ -666,7 +666,7 @@ def test_the_scan_of_an_axis_is_judged_in_its_last_ten_periods(monkeypatch):
     monkeypatch.setattr(loops, "errors_of", lambda _, run: errors["predicted" if run == "predicted" else "measured"])
     outcome = loops.judge_scan(situation, run)
     found = outcome.figures
-    assert outcome.lines[1].endswith("of it, predicted 1 nm: as predicted")
+    assert outcome.lines[1].endswith("of the scan, predicted 1 nm: as predicted")
     errors["predicted"]["y"] *= 0.9
     assert ": MORE than 1.5 x the prediction" in loops.judge_scan(situation, run).lines[1]
     for place, (name, other) in enumerate(("xy", "yx")):

@@ -472,7 +472,7 @@ def test_the_width_of_a_loop_is_that_of_play(situation, radius):
     assert found.figures["loop_opening_m"] == pytest.approx(2.0 * radius * GAIN, rel=1e-6)
     sizes = [found.figures[name] for name in ("lowest_m", "highest_m", "stroke_m")]
     assert sizes == pytest.approx([0.0, (100.0 - radius) * GAIN, (100.0 - radius) * GAIN])
-    assert f"loop width {200.0 * radius / (100.0 - radius):.2g} % of it" in found.lines[0]
+    assert f"loop width {200.0 * radius / (100.0 - radius):.2g} % of the stroke" in found.lines[0]
 
 
 @pytest.mark.parametrize("ratio", [1.49, 1.51])

@@ -36,7 +36,7 @@ def test_what_does_not_repeat_is_told_from_what_does():
     """Deviations of +-a in two periods: the variance about their mean is 2 a² for one degree of freedom."""
     shape = 1e-7 * np.sin(np.linspace(0.0, 6.0, 50))
     measured, predicted = shape + np.array([[3e-9], [-3e-9]]), np.array([[2e-9], [-2e-9]]) + 0.0 * shape
-    said = "4.243 nm RMS of it does not repeat from period to period, predicted 2.828 nm"
+    said = "4.243 nm RMS of the error does not repeat from period to period, predicted 2.828 nm"
     assert repetition_line(measured, 1.01 * predicted) == said.replace("2.828", "2.857")
     more = repetition_line(measured, 0.99 * predicted)
     assert more.startswith(said.replace("2.828", "2.8") + ": disturbances, missed deadlines or instants that vary")

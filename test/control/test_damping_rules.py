@@ -200,7 +200,7 @@ def test_a_design_prints_the_worst_of_its_plants():
     rows = dict(judged().rows())
     assert rows["resonances ±10 %"] == "bandwidth 80 Hz, M_s 1.900, of both 1.750, delay margin 1.2 samples"
     assert rows["damping reached"] == "0.3; resonances ±10 %: 0.2"
-    assert rows["bandwidth without damping"] == "20 Hz; with it 5 times that"
+    assert rows["bandwidth without damping"] == "20 Hz; with damping 5 times this bandwidth"
     assert judged(None).times == np.inf and "bandwidth without damping" not in dict(judged(None).rows())
 
 

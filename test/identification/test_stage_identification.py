@@ -318,10 +318,10 @@ def test_a_response_matrix_of_another_stage_is_refused(tmp_path):
         save_stage_response(tmp_path / f"{number}.npz", recorded_stage_response(other))
     request = StageRequest(order=4, controller="none")
     for changes, words in (
-        ({"response": tmp_path / "0.npz"}, "0.npz: is of the axes x, z, but the recording has x, y; measure"),
+        ({"response": tmp_path / "0.npz"}, "0.npz: has the axes x, z, but the recording has x, y; measure"),
         ({"response": tmp_path / "1.npz"}, "1.npz: was measured at 5000 Hz, but the recording has 10000 Hz"),
         ({"response": tmp_path / "2.npz"}, "2.npz: was measured at 20000 Hz, but the recording has 10000 Hz"),
-        ({"response": tmp_path / "3.npz"}, "3.npz: is of the axes y, x, but the recording has x, y; measure"),
+        ({"response": tmp_path / "3.npz"}, "3.npz: has the axes y, x, but the recording has x, y; measure"),
         ({"response": tmp_path / "0.npz", "type": "internal"}, "not to a response matrix: omit --response"),
     ):
         with pytest.raises(IdentificationError, match=words):

@@ -182,7 +182,7 @@ def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
         call(client, "motion_controller", "learn")
     with pytest.raises(HysteresisError, match="refuses to save: learning.save_file = '': names no file"):
         call(client, "motion_controller", "save")
-    with pytest.raises(HysteresisError, match="is active: configure is not possible, deactivate and shutdown are"):
+    with pytest.raises(HysteresisError, match="active: configure is not possible; possible: deactivate and shutdown"):
         call(client, "motion_controller", "configure")
 
 
@@ -207,7 +207,7 @@ def test_status_says_who_is_there_and_where_the_axis_is(axis, client, capsys):
 
 def test_status_tells_the_offset_of_the_displacement_from_the_setpoints():
     names, last = ["motion_controller", "plant_simulator"], {"setpoint": 43e-6, "displacement": 50e-6}
-    for offset, said in (("7e-06", "displacement 50 µm with an offset of 7 µm"), ("0", "displacement 50 µm")):
+    for offset, said in (("7e-06", "displacement 50 µm including an offset of 7 µm"), ("0", "displacement 50 µm")):
         reports = {"/x/motion_controller": (0, "OK", {"offset_m": offset})}
         found = _axis(SimpleNamespace(timeout=1.0), "/x", names, {}, reports, last)
         assert found.last == {**last, "offset": float(offset)} and "offset" not in last
@@ -367,7 +367,7 @@ def test_a_setpoint_is_in_force_when_a_sample_has_it_and_not_when_a_sample_has_a
     publishers = SimpleNamespace(count_publishers=lambda topic: 0)
     client = SimpleNamespace(timeout=1.0, until=until, node=publishers)
     if setpoints == (1e-6,):
-        with pytest.raises(AbsentError, match=r"another one replaced it: 1 µm is in force"):
+        with pytest.raises(AbsentError, match=r"another setpoint replaced it: it is now 1 µm"):
             _require_moving(client, "/a/reference_generator", 5e-6, state)
     elif not setpoints:
         with pytest.raises(AbsentError, match=r"/a/joint_states has no publisher"):

@@ -130,7 +130,7 @@ def held_back(recording: Recording, effect: str = "increases the error during mo
         return []
     return [
         f"this machine was too busy for {count} of {len(recording)} samples: the previous voltage "
-        f"was held in them, which {effect}"
+        f"was held in these samples, which {effect}"
     ]
 
 

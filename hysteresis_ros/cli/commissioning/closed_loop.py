@@ -531,7 +531,8 @@ def repetition_line(measured: np.ndarray, predicted: np.ndarray) -> str:
     Units: both [m], shape (periods, samples).
     """
     found, expected = unrepeated(measured), unrepeated(predicted)
-    said = f"{1e9 * found:.4g} nm RMS of it does not repeat from period to period, predicted {1e9 * expected:.4g} nm"
+    said = f"{1e9 * found:.4g} nm RMS of the error does not repeat from period to period"
+    said += f", predicted {1e9 * expected:.4g} nm"
     if found <= ERROR_AS_PREDICTED * expected:
         return said
     causes = "disturbances, missed deadlines or instants that vary"

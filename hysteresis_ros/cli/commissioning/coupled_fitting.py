@@ -164,7 +164,7 @@ def commissioned_text(situation: StageSituation) -> str:
     body = "".join(one for one in text.splitlines(keepends=True) if not one.startswith("#"))
     head = (
         f"# Commissioned by `hysteresis commission {situation.configuration.source}`. SI units.\n"
-        "# /identification and /commissioning are not nodes: where the numbers come from, and the movements allowed.\n"
+        "# /identification and /commissioning are not nodes: origin of the numbers, and allowed movements.\n"
     )
     sections: dict[str, dict] = {}
     designed = load_configuration(situation.folder.path / DESIGNED)

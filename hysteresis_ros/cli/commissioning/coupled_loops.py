@@ -306,7 +306,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
                 percent = 100.0 * max(moved, least) / size
                 judgement = coupling_verdict(moved, modelled, np.sqrt(JUDGED_PERIODS) * noise)
                 lines.append(
-                    f"{name}: its scan moves {other} by {shown} RMS, {percent:.2g} % of it, predicted "
+                    f"{name}: its scan moves {other} by {shown} RMS, {percent:.2g} % of the scan, predicted "
                     f"{1e9 * modelled:.2g} nm: {judgement}"
                 )
                 figures[name] |= {f"coupling_{other}_rms_m": moved, f"predicted_coupling_{other}_rms_m": modelled}

@@ -240,5 +240,5 @@ def judge_hysteresis(situation: StageSituation, recording: Recording) -> Outcome
             if other != name
         ]
         if shares:
-            lines.append(f"{name}: its whole stroke moves {', '.join(shares)} of it")
+            lines.append(f"{name}: its whole stroke moves {', '.join(shares)} of this stroke")
     return Outcome(lines, outcome.figures, outcome.pictures)

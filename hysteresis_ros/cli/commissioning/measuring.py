@@ -312,7 +312,7 @@ def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
     opening = loop_opening(voltage, measured) or 0.0
     lines = [
         f"stroke {readable(stroke, 'm')} over {voltage.min():.4g} … {voltage.max():.4g} V, loop width "
-        f"{100.0 * opening / stroke:.2g} % of it"
+        f"{100.0 * opening / stroke:.2g} % of the stroke"
     ]
     loop = Picture("Loops", "voltage [V]", "displacement [µm]", [line("measured", voltage, MICRO * measured)])
     figures = {"stroke_m": stroke, "lowest_m": float(measured.min()), "highest_m": float(measured.max())}

@@ -197,7 +197,7 @@ class Folder:
     def _require_same(self, state: pathlib.Path) -> None:
         kept = self._read(state)
         words = {
-            "file": "the parameter file has changed since this commissioning began; begin anew in another --directory",
+            "file": "the parameter file has changed since this commissioning began; start again in another --directory",
             "bench": f"this commissioning began with {kept.get('bench')!r}, not {self._own['bench']!r}; give "
             "the same options",
         }
@@ -212,7 +212,7 @@ class Folder:
                 raise ValueError("not a mapping")
             return found
         except (OSError, ValueError) as error:
-            raise ConfigurationError(f"{path}: cannot be read: {error}; begin anew in another --directory") from None
+            raise ConfigurationError(f"{path}: cannot be read: {error}; start again in another --directory") from None
 
     def _write(self, name: str, content: dict) -> None:
         write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)

@@ -103,8 +103,8 @@ class Task:
             moves = np.sign(moves[moves != 0.0])
             if np.count_nonzero(moves[1:] != moves[:-1]) < TURNS:
                 raise IdentificationError(
-                    f"{self.name}: the input of the {part} part never reverses, or only once; hysteresis shows behind "
-                    "a turning point: choose another range"
+                    f"{self.name}: the input of the {part} part never reverses, or only once; hysteresis is visible "
+                    "only after a turning point: choose another range"
                 )
         if abs(self.test.sample_time / self.train.sample_time - 1.0) > SAME_RATE:
             raise IdentificationError(

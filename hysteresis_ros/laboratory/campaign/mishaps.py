@@ -278,7 +278,7 @@ def _of_machines():
     yield Mishap(
         "time of day",
         heading,
-        "the time of day of the nodes jumps an hour forward, two back, and returns (DDS keeps its own)",
+        "the time of day of the nodes jumps an hour forward, two hours back, then returns (DDS keeps its own clock)",
         "the displacement stays between rest and setpoints",
         "set clock",
         graph=CLOCK,

@@ -119,7 +119,8 @@ with your axis, whose plant is then simulated: `hysteresis faults my_axis.yaml -
 Required of every case: {always}.
 
 A cell shows whether this and the requirement of the second column were met in this way of running, with the worst
-figures: the output voltages of the plant; the largest step of the voltage between two samples over the allowed one; the
+figures: the output voltages of the plant; the largest step of the voltage between two samples, relative to the
+allowed step; the
 displacement beyond the range between rest and setpoints, as a fraction of the stroke, from 5 % on (a tenth is allowed,
 plus the movement that the slew rate allows while voltages are late and the plant has not yet tripped); if the voltage
 must become safe, the time until it was; and the time from the end of the fault until the axis reached a new setpoint,

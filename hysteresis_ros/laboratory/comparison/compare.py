@@ -182,8 +182,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
     """Return sentences about the evaluation of the rows."""
     return (
         "errors are those of the true displacement at ten points per sample, in % of the stroke",
-        "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
-        f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
+        "RMS and worst: against the delayed reference; each design has one constant delay for both references and all "
+        f"plants, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
         "reference); undelayed: against the reference itself, on the worst plant",
         f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the period "
         "of each reference; all other controllers from 2 s on",

@@ -161,7 +161,7 @@ def figures(summary: Summary) -> list[tuple[str, object]]:
             continue
         found.append((f"{column.label}: share of the runs below each value", share_figure(column, ends)))
         if chosen:
-            found.append((f"{column.label} over the varied parameters", scatter_figure(column, chosen, ends)))
+            found.append((f"{column.label} versus the varied parameters", scatter_figure(column, chosen, ends)))
         at_levels = summary.at_levels
         if at_levels and len(summary.plan.counts) == 1:
             label = next(iter(at_levels[0][0]))

@@ -73,7 +73,7 @@ class PrandtlIshlinskiiParameters(Parameters):
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
     thresholds: tuple[float, ...] = parameter(
-        (), description="thresholds t of the dead zones; a zone with t < 0 acts below t, another one above t", unit="m"
+        (), description="thresholds t of the dead zones; a zone with t < 0 acts below t, any other above t", unit="m"
     )
     zone_weights: tuple[float, ...] = parameter((), description="slopes s added by the dead zones; may be negative")
     offset: float = parameter(0.0, description="constant part of the displacement", unit="m")

@@ -91,7 +91,7 @@ def _change(client: Client, full: str, action: str) -> None:
     answer = client.ask(GetAvailableTransitions, f"{full}/get_available_transitions")
     possible = [described.transition.label for described in answer.available_transitions]
     if action not in possible:
-        raise HysteresisError(f"{full} is {before}: {action} is not possible, {' and '.join(possible)} are")
+        raise HysteresisError(f"{full} is {before}: {action} is not possible; possible: {' and '.join(possible)}")
     said: list[str] = []
 
     def listen(message: Log) -> None:
@@ -314,7 +314,7 @@ def _lines(axis: AxisStatus):
     values = {name: readable(axis.last[name], units[name]) for name in order if name in axis.last}
     if "displacement" in values and axis.last.get("offset"):
         offset = readable(axis.last["offset"], "m")
-        values["displacement"] += f" with an offset of {offset}, which setpoints do not have"
+        values["displacement"] += f" including an offset of {offset}, which setpoints do not include"
     said = ", ".join(f"{name} {value}" for name, value in values.items())
     yield f"  {said or 'no position was reported'}"
 
@@ -653,7 +653,7 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
     if not client.until(made, min(ANSWER, client.timeout)):
         if state:
             now = readable(state.get("setpoint", math.nan), "m")
-            raise AbsentError(f"{source} accepted the setpoint, but another one replaced it: {now} is in force")
+            raise AbsentError(f"{source} accepted the setpoint, but another setpoint replaced it: it is now {now}")
         joints = f"{source.rsplit('/', 1)[0]}/joint_states"
         why = f"{joints} has no publisher" if not client.node.count_publishers(joints) else "the axis' time is paused"
         raise AbsentError(

@@ -85,11 +85,11 @@ def figures(found: Reproduction) -> list:
             correlations_figure(model.identified().validation),
         ),
         (
-            "Bouc-Wen parameters over the iterations of Nelder-Mead, each over its final value",
+            "Bouc-Wen parameters versus the iterations of Nelder-Mead, each divided by its final value",
             trajectory_figure(("d_e", "α", "β", "γ"), bouc_wen.runs[bouc_wen.best].trajectory),
         ),
         (
-            "PID gains over the iterations of Nelder-Mead, each over its final value",
+            "PID gains versus the iterations of Nelder-Mead, each divided by its final value",
             trajectory_figure(("K_P", "K_I", "K_D"), tuning.trajectory),
         ),
         ("The paper's triangle: loops of its three controllers", loops_comparison(loops)),

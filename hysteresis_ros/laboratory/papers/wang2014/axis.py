@@ -59,7 +59,7 @@ REFERENCE = (
 )
 IDEAL = "no noise, no quantisation, limits never reached"
 HALF = "half amplitude: ±0.375 mm, or ±0.5 V"
-SAME_CLASS = "Prandtl-Ishlinskii model: of the truth's class, with radii, thresholds and weights of its own from data"
+SAME_CLASS = "Prandtl-Ishlinskii model: same class as the truth, but radii, thresholds and weights identified from data"
 REAL = "limits ±1.2 V, 16-bit converters, sensor noise 1 µm rms"
 SOFTENED = "“much smaller” taken as at least 50 % lower"
 
