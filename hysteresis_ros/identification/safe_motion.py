@@ -19,8 +19,8 @@ The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.ref
 one period of the resonance and has a zero at the frequency of the resonance. Together they have a double zero there, so
 a change of the setpoint causes little vibration even if the frequency is wrong by some per cent.
 
-*The first motion* of an axis of a stage keeps the limits, too: its reference begins at rest instead of in the middle of
-the range. A file that states `approach.from_rest` is not changed.
+*The first motion* of an axis whose initial setpoint is not 0 m (each axis of a stage) keeps the limits, too: its
+reference begins at rest instead of at the initial setpoint. A file that states `approach.from_rest` is not changed.
 
 *Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
 slew rate limits them.
@@ -171,8 +171,10 @@ def with_safe_motion(
                 text, name, namespace, "limits", {"slew_rate": (rate, f"{shown_unit('V')}/s: {slew.reason}")}
             )
     reference = configuration.node("reference_generator", namespace)
-    # a stage begins in the middle of its ranges, where its scans are centred
-    if configuration.stage is not None and "approach.from_rest" not in reference:
+    # a stage begins in the middle of its ranges, where its scans are centred; an axis that reaches only positions above
+    # 0 m begins at the lowest of them
+    away = configuration.stage is not None or float(reference.get("initial_setpoint", 0.0)) != 0.0
+    if away and "approach.from_rest" not in reference:
         why = "the first motion, from rest to the initial setpoint, keeps the limits too"
         text = _with_values(text, "reference_generator", namespace, "approach", {"from_rest": (True, why)})
     why = _reason_for_smooth_steps(nodes["motion_controller"], reference)

@@ -94,8 +94,8 @@ class ApproachParameters(Parameters):
     )
     from_rest: bool = parameter(
         False,
-        description="true: the reference begins where the axis rests, at 0 m or at the closest end of the range, and "
-        "the motion to the initial setpoint keeps these limits; false: it begins at the initial setpoint",
+        description="true: the reference begins where the axis rests, at 0 m, also outside the range, and the motion "
+        "to the initial setpoint keeps these limits; false: it begins at the initial setpoint",
         read_only=True,
     )
     start_time: float = parameter(

@@ -159,6 +159,9 @@ def abandon(ps, xs):
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach or trajectory, plus waveform, clipped to minimum … maximum.
 
+    A reference that begins outside this range is clipped to its last value there, so it moves into the range without a
+    jump.
+
     ``ps``, ``xs`` are :class:`GeneratorArrays`. While the generator is stopped, reference and states do not change.
     """
     p, x = ps.range, xs.range
@@ -175,7 +178,7 @@ def reference_step(waveform, ps, xs, setpoint):
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
         reference += x[FADE] * (1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0)))
         x[FADE_COUNT] += 1.0
-    reference = min(max(reference, p[MINIMUM]), p[MAXIMUM])
+    reference = min(max(reference, min(p[MINIMUM], x[OUTPUT])), max(p[MAXIMUM], x[OUTPUT]))
     x[OUTPUT] = reference
     return reference
 
@@ -381,8 +384,7 @@ class ReferenceGenerator(Chain):
         return Problem(f"waveform.{name}", own.waveform.to_mapping()[name], remedy)
 
     def begin_at(self, position: float) -> None:
-        """Begin at rest at the axis' position [m], clipped to the range; the waveform then waits for :meth:`start`."""
-        position = min(max(position, self.parameters.minimum), self.parameters.maximum)
+        """Begin at rest at the axis' position [m], also outside the range; the waveform waits for :meth:`start`."""
         self.reset()
         rest(self.approach.p, self.approach.x, position, position)
         self.shaper.rest_at(position)
@@ -401,7 +403,7 @@ class ReferenceGenerator(Chain):
         self.begin_at(setpoint)
         if not self.parameters.approach.from_rest:
             return
-        position = self._range[1][OUTPUT] = self._resting_position
+        position = self._range[1][OUTPUT] = 0.0
         if self.parameters.approach.unlimited:
             self._range[1][FADE] = position - setpoint
             return
@@ -488,16 +490,10 @@ class ReferenceGenerator(Chain):
     def _first_value(self) -> float:
         return self.waveform.kernel(self.waveform.p, np.zeros(1), 0.0)
 
-    @property
-    def _resting_position(self) -> float:
-        """Position at which an axis rests [m]: 0, or the end of the range that is nearest to 0."""
-        return min(max(0.0, self.parameters.minimum), self.parameters.maximum)
-
     def reset(self) -> None:
         """Return to the state after construction: waveform at its beginning, axis at rest at the initial setpoint.
 
-        With ``approach.from_rest``, the motion to the initial setpoint begins at 0 m, or at the end of the range that
-        is nearest to 0 m.
+        With ``approach.from_rest``, the motion to the initial setpoint begins at 0 m, also outside the range.
         """
         self._begun = math.nan
         self.approach.reset()
@@ -513,7 +509,7 @@ class ReferenceGenerator(Chain):
         low, high = self.parameters.minimum, self.parameters.maximum
         self._range[1][:] = (WHOLE, min(max(first, low), high), 0.0, 0.0)
         if self.parameters.approach.from_rest:
-            self._range[1][OUTPUT] = self._resting_position
+            self._range[1][OUTPUT] = 0.0
             interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def retune(self, parameters: ReferenceParameters) -> None:
