@@ -136,7 +136,7 @@ class Footage:
         Folder of pictures, or video. Pictures are used in the order of the numbers in their names; if all have a
         number, a missing number is a lost frame.
     rate : float, optional
-        Frame rate [Hz]; by default that of the video.
+        Frame rate [Hz]; by default the frame rate of the video.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class Axis:
 
     @property
     def given(self) -> np.ndarray:
-        """Column indices of the inputs of a run in a sample's row."""
+        """Column indices of the run's inputs in a sample's row."""
         return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(

@@ -296,7 +296,7 @@ def take_setpoint(own, i):
 
 @nested
 def take_post(own, i, motor):
-    """Read all requests to an axis since the last sample; write the switches to make behind its row in the column.
+    """Read all requests to an axis since the last sample; write the requested changes behind its row in the column.
 
     Several posts between two samples act as one post, because each contains all requests until then. The table of a
     post is complete before its number is written, and it is overwritten POSTS posts later.
@@ -321,7 +321,7 @@ def take_post(own, i, motor):
 
 @nested
 def log_switches(own, i):
-    """Log the switches of an axis before the next sample."""
+    """Log the changes of an axis before the next sample."""
     state, first = own.state, own.row.shape[1]
     for place in range(first, first + MOST_SWITCHES):
         if own.column[i, place, 0] != NOTHING:
@@ -332,7 +332,7 @@ def log_switches(own, i):
 
 @nested
 def make_switches(laws, parts, column):
-    """Make the switches that follow the row of one axis."""
+    """Execute the changes that are written behind the row of one axis."""
     for place in range(column.shape[0] - MOST_SWITCHES, column.shape[0]):
         code = int(column[place, 0])
         if code != NOTHING:
@@ -341,13 +341,13 @@ def make_switches(laws, parts, column):
 
 @each
 def switch_axes(laws, parts, column):
-    """Make the switches that follow the row of one axis of a stage."""
+    """Execute the changes that are written behind the row of one axis of a stage."""
     make_switches(laws, parts, column)
 
 
 @by_part
 def switch_all(step, part, own):
-    """Make the switches of all axes."""
+    """Execute the changes of all axes."""
 
 
 @by_part
@@ -362,7 +362,7 @@ def keep_joints(step, part, numbers):
 
 @nested
 def _switch_alone(step, part, own):
-    """Make the switches of the axis."""
+    """Execute the changes of the axis."""
     make_switches(part.laws, part.parts, own.column[0])
 
 
@@ -380,7 +380,7 @@ def _keep_alone(step, part, numbers):
 
 @nested
 def _switch_together(step, part, own):
-    """Make the switches of all axes of the stage."""
+    """Execute the changes of all axes of the stage."""
     switch_axes(part.laws, part.parts, own.column)
 
 

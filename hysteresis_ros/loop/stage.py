@@ -183,7 +183,7 @@ def to_actuators(group, rows):
 
 @nested
 def to_axes(group, rows):
-    """Transform achieved commands of actuators into those of degrees of freedom, and restore the axes' own commands."""
+    """Transform achieved commands of actuators into degrees of freedom, and restore the axes' own commands."""
     n = group.decoupling.shape[0]
     for i in range(n):
         missing = rows[i, at.APPLIED] - group.asked[i]
@@ -448,11 +448,11 @@ class Stage:
 
     @property
     def given(self) -> np.ndarray:
-        """Indices of the inputs of a run in the row of an axis."""
+        """Column indices of the run's inputs in an axis' row."""
         return np.array([*self.kind.given, *self.plants[0].given], dtype=float)
 
     def default_samples(self) -> int:
-        """Return the configured length of a run in samples (that of the axis with the longest run); 0: no end."""
+        """Return the configured length of a run in samples: the longest of all axes; 0: no end."""
         return max(axis.default_samples() for axis in self.axes)
 
     def default_setpoints(self, samples: int) -> dict[str, np.ndarray]:
@@ -540,7 +540,7 @@ class Stage:
         columns[:, :, first:until] = some
 
     def start(self) -> None:
-        """Restart all axes after one of them has stopped the stage."""
+        """Restart all axes after an axis has stopped the stage."""
         for axis in self.axes:
             axis.plant.start()
 

@@ -99,7 +99,7 @@ OF_THE_CLOCK = (
 
 @dataclass(frozen=True)
 class StageScanParameters(Parameters):
-    """The scan that axes of a stage follow, about their setpoints, instead of their own waveforms."""
+    """The scan that axes of a stage follow around their setpoints, instead of their own waveforms."""
 
     kind: str = parameter(
         "", read_only=True, description="kind of the scan, e.g. raster, see `hysteresis scan`; empty: no scan"
@@ -229,7 +229,7 @@ def _singular(stage: StageNodeParameters):
 
 
 def _other_clock(axis: AxisParameters, first: AxisParameters):
-    """Yield a Problem for each timing parameter of an axis that differs from that of the first axis."""
+    """Yield a Problem for each timing parameter of an axis that differs from the same parameter of the first axis."""
     own, wanted = axis.plant_simulator.to_mapping(), first.plant_simulator.to_mapping()
     for name in OF_THE_CLOCK:
         if own[name] != wanted[name]:
@@ -366,7 +366,7 @@ class StageParameters:
 
     @property
     def scan(self) -> Scan | None:
-        """The scan that axes follow, about their setpoints."""
+        """The scan that axes follow around their setpoints."""
         given = self.stage.scan
         return parsed_scan(given.kind, given.values) if given.kind else None
 
@@ -525,7 +525,7 @@ class StageParameters:
         return self.axes[self.place(name)].generator.waveform.type
 
     def scanning(self, names: Sequence[str]) -> StageParameters:
-        """Return the same stage, but only these axes follow their waveforms; the others hold their setpoints."""
+        """Return the same stage, but only these axes follow their waveforms; the other axes hold their setpoints."""
         axes = []
         for name, axis in zip(self.names, self.axes, strict=True):
             source = axis.generator

@@ -217,12 +217,12 @@ class CouplingError:
 
 
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
-    """Return how far a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
+    """Return how far a scan of each axis moves the other axes, in runs of ``duration`` [s] or of the waveforms' length.
 
-    Every axis with a waveform scans in its own run while the others hold their setpoints. The displacements of another
-    run, in which all axes hold, are subtracted. Both runs have the same sensor noise, creep and approach to the
-    setpoint, which therefore cancel. The true displacements are compared. The result is empty for a single axis, and
-    when no axis has a waveform.
+    Every axis with a waveform scans in its own run while the other axes hold their setpoints. The displacements of
+    another run, in which all axes hold, are subtracted. Both runs have the same sensor noise, creep and approach to
+    the setpoint, which therefore cancel. The true displacements are compared. The result is empty for a single axis,
+    and when no axis has a waveform.
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
     found: list[CouplingError] = []

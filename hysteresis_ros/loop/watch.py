@@ -72,9 +72,9 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    A value is rejected when it is not finite, when its sample number ``stamp`` is not greater than that of the last
-    good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out the next
-    finite value is accepted, because there is no recent value for comparison.
+    A value is rejected when it is not finite, when its sample number ``stamp`` is not greater than the number of the
+    last good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out the
+    next finite value is accepted, because there is no recent value for comparison.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]

@@ -151,7 +151,7 @@ class WaveformShape:
     extent : str, optional
         Name of the parameter that determines the amplitude.
     periodic : bool, optional
-        Whether the waveform has a single frequency that is to be compared with the bandwidth of the axis; False for
+        Whether the waveform has a single frequency, which is compared with the bandwidth of the axis; False for
         experiments (chirp, multisine).
     fundamental : callable, optional
         ``fundamental(parameters)`` returns the amplitude of the fundamental divided by half the height of the waveform;

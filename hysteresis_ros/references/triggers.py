@@ -369,7 +369,7 @@ def fire(p, x, row, position, direction, delay):
 
 @nested
 def pass_positions(arrays, row, measured):
-    """Trigger at positions passed since the last measurement; arm again those that it has left by ``rearm``."""
+    """Trigger at positions passed since the last measurement; arm a position again at the distance ``rearm``."""
     p, x, up, down = arrays.p, arrays.x, arrays.up, arrays.down
     i, j = int(x[ABOVE]), int(x[BELOW])
     if x[KNOWN] == 0.0:

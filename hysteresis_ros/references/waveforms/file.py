@@ -134,7 +134,7 @@ def _name_and_unit(text: str) -> tuple[str, str | None]:
 
 
 def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarray | None, list[np.ndarray]]:
-    """Return the column ``time`` [s] of a CSV or NPZ (None without this column), and the columns of lengths [m].
+    """Return the column ``time`` [s] of a CSV or NPZ (None if there is no such column), and the columns of lengths [m].
 
     The suffix determines the format; ``columns`` contains names without units, and the header of a CSV states the
     units. KeyError: a column or its unit is missing. ValueError: the columns are not numbers of equal length.

@@ -101,7 +101,7 @@ def pack(parameters, sample_time: float) -> Packed:
 
 
 def duration(p) -> int:
-    """Return the length in samples; the duration of the last level is taken to be that of the previous level."""
+    """Return the length in samples; the last level is assumed to last as long as the previous level."""
     if p[REPEAT] != 0.0:
         return int(p[END])
     starts = p[TABLE : TABLE + int(p[COUNT])]
