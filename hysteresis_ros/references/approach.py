@@ -275,14 +275,14 @@ class Approach(Block):
             raise ParameterError([Problem("approach", parameters.to_mapping(), text)])
 
 
-#: How often each type applies the filter.
+#: Number of times that each type applies the filter ZV.
 TYPES = {"none": 0, "zv": 1, "zvd": 2}
 #: Number of stored positions; the longest delay of a tap is one sample less.
 RING = 4096
 #: Maximum number of taps in addition to the first.
 MOST = 5
 
-# Parameters: number of taps in addition to the first, then delay [samples] and weight of each of them.
+# Parameters: number of taps in addition to the first, then delay [samples] and weight of each of these taps.
 TAPS = 0
 FIRST = 1
 PARAMETERS = FIRST + 2 * MOST
@@ -323,8 +323,8 @@ class ShapingParameters(Parameters):
 def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.ndarray:
     """Return the weights of the filter ZV, shape (m + 2,); only the first and the last two of them are not 0.
 
-    Units: ``frequency`` [Hz], ``sample_time`` [s]; the damping must be below 1. ParameterError about
-    ``shaping.frequency``: it is not below half the sample rate, or too low for the number of stored positions.
+    Units: ``frequency`` [Hz], ``sample_time`` [s]; the damping must be below 1. ParameterError:
+    ``shaping.frequency`` is not below half the sample rate, or is too low for the number of stored positions.
     """
     omega = 2.0 * math.pi * frequency * math.sqrt(1.0 - damping * damping)
     half = math.pi / (omega * sample_time)

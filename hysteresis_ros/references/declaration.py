@@ -42,7 +42,7 @@ COUNTER = 0
 OFFSET, AMPLITUDE, NUMERATOR, DENOMINATOR, RESIDUAL, PHASE, END, FINAL = range(8)
 #: Index of the first parameter that only one waveform uses.
 OWN = 8
-#: First such parameter of waveforms with a polarity: 1: rises from the offset; 0: symmetric about the offset.
+#: Index of the polarity in waveforms that have one; 1: they rise from the offset; 0: they are symmetric about it.
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi
@@ -186,7 +186,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
     Raises
     ------
     ParameterError
-        Always; it contains the name of the parameter, its value and what is allowed.
+        Always; the message contains the name of the parameter, its value and what is allowed.
     """
     raise ParameterError([Problem(PREFIX + name, value, remedy)])
 
@@ -199,7 +199,7 @@ def head(parameters) -> np.ndarray:
 
 
 def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
-    """Write the end, and the numbers for the position in the cycle, into ``p``; return the samples of a repetition.
+    """Write the end and the numbers for the position within the cycle into ``p``; return the period [samples] or None.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def first_value(kernel, p) -> float:
 
 
 def cyclic(kernel, own=None, final=None, polarity: bool = False, repeats: bool = True):
-    """Return the ``pack`` of a waveform; its kernel computes a cycle of offset ± amplitude from the position in it.
+    """Return the ``pack`` of a waveform; its kernel computes offset ± amplitude from the position within the cycle.
 
     Parameters
     ----------

@@ -344,12 +344,12 @@ class ReferenceGenerator(Chain):
 
     @property
     def largest_velocity(self) -> float:
-        """Largest velocity of the waveform without an approach [m/s]; a step has the time until the next one."""
+        """Largest velocity of the waveform without an approach [m/s]; a step may last until the next step."""
         distances, available = self._changes()
         return float(np.max(distances / available, initial=0.0))
 
     def _changes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the changes of the waveform without an approach [m], and the time until the next change of each [s].
+        """Return the changes of the waveform without an approach [m], and the time from each change to the next [s].
 
         A continuous waveform changes with every sample.
         """
@@ -396,8 +396,8 @@ class ReferenceGenerator(Chain):
     def wait_for_start(self) -> None:
         """Begin at rest at the initial setpoint, and let the waveform wait for :meth:`start`.
 
-        With ``approach.from_rest``, it begins where :meth:`reset` begins, and moves to the initial setpoint while it
-        waits.
+        With ``approach.from_rest``, the reference instead begins at 0 m, as after :meth:`reset`, and moves to the
+        initial setpoint while the waveform waits.
         """
         setpoint = self.parameters.initial_setpoint
         self.begin_at(setpoint)
@@ -410,7 +410,7 @@ class ReferenceGenerator(Chain):
         rest(self.approach.p, self.approach.x, position, setpoint)
         self.shaper.rest_at(position)
         self.xs.trajectory[following.POSITION] = position
-        # this is a motion to the setpoint, and not an axis that waits for its first request
+        # the reference moves to the setpoint; it does not wait for a first request
         self.xs.trajectory[following.TARGET] = following.NOWHERE
 
     def stop(self) -> None:
@@ -518,8 +518,8 @@ class ReferenceGenerator(Chain):
         Raises
         ------
         ParameterError
-            The generator runs (a change of the shaping: the reference moves), the new parameters are wrong, or another
-            parameter differs. Nothing is changed then.
+            The generator runs (for a change of the shaping: the reference moves), the new parameters are wrong, or
+            another parameter differs. Nothing is changed then.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()

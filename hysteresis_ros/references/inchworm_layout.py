@@ -52,7 +52,7 @@ from __future__ import annotations
     LEAD,  # lead of the outputs over the path [samples]
     BOUND,  # largest correction [m]
     LEARNING_GAIN,
-    LEARNING_RATE,  # rate of the cycles from which the motor learns [1/sample]
+    LEARNING_RATE,  # cycle rate at which the correction is updated [1/sample]
     INERTIA,  # lead of the extender divided by the acceleration of the slider [samples²]
     INERTIA_LAG,  # delay of this lead due to the damping [samples]
     TIP_INERTIA,  # lead of the command divided by the acceleration of the extender [samples²]
@@ -64,7 +64,7 @@ from __future__ import annotations
     SPLINES,  # number of splines of the correction
     BINS,  # number of bins of the error
 ) = range(50)
-#: Indices of the phases at which the processes of a forward cycle end, and of those of a backward cycle (named below).
+#: Indices in p of the phases at which the processes of a cycle end: forward cycle, backward cycle (phases: see below).
 FORWARD_BOUNDS = 50
 BACKWARD_BOUNDS = 58
 #: Matrices of the learning for each direction, row by row: first the matrix that multiplies the errors, (SPLINES,
@@ -95,7 +95,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     REFUSED,  # number of setpoints outside the travel so far
     LIMITED_SPEED,  # 1 if the requested speed exceeds that of the gait
     COMMANDED_STEP,  # commanded length of the last finished step [m], with the sign of its direction
-    ACHIEVED_STEP,  # achieved length of this step [m], from the measured slider position
+    ACHIEVED_STEP,  # achieved length of the last finished step [m], from the measured slider position
     TARGET,  # present setpoint [m]
     REQUEST,  # input: request that is executed at the next sample
     SPEED,  # input: requested speed of continuous walking [m/s]; 0: walk to the setpoint

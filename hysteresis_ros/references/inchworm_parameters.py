@@ -24,7 +24,7 @@ phase, learned at one speed, is therefore valid at other speeds [1]_.
 
 Let θ be the coefficients of a periodic cubic spline, and e the mean error of the slider in each bin of the phase. Each
 cycle changes θ by γ (L e − K θ) with L = (MᵀM + S + W)⁻¹ Mᵀ and K = (MᵀM + S + W)⁻¹ W, the norm-optimal update of
-iterative learning [2]_. M is the motion of the slider divided by the coefficient that causes it: the slider follows the
+iterative learning [2]_. M is the motion of the slider per unit of each coefficient: the slider follows the
 extender while the front clamp is closed and the rear one open, and keeps its position when the rear clamp closes. S is
 the weight of the change of θ. W is the weight of the curvature of the correction, so that the correction stays smooth
 where the error does not determine it.
@@ -73,7 +73,7 @@ def ramp(linear, s):
 
 
 def inertia(frequency: float) -> float:
-    """Return 1/ω² of a mode of ``frequency`` [Hz], which is its lag divided by the acceleration [s²]; 0 Hz: rigid."""
+    """Return 1/ω² of a mode at ``frequency`` [Hz]: the mode's lag divided by the acceleration [s²]; 0 Hz: rigid."""
     return 1.0 / (2.0 * math.pi * frequency) ** 2 if frequency > 0.0 else 0.0
 
 
@@ -199,7 +199,7 @@ class GaitParameters(Parameters):
 
     @property
     def closed_margin(self) -> float:
-        """Time for which both clamps are above the threshold voltage while one takes over from the other [s]."""
+        """Time for which both clamps are above the threshold voltage while one clamp takes over from the other [s]."""
         span = self.grip_voltage - self.release_voltage
         level = (self.threshold_voltage - self.release_voltage) / span
         linear = self.clamp_ramp == "linear"
@@ -254,9 +254,9 @@ BINS_PER_SPLINE = 4
 #: the diagonal of MᵀM.
 CHANGE_WEIGHT = 1.0e-3
 CURVATURE_WEIGHT = 1.0e-2
-#: Largest deviations of the motor from the model that the learning uses. GAIN_RANGE: of the fraction of the extender's
-#: motion that reaches the slider; GRIP_RANGE: of the instant at which a clamp grips or releases, as a fraction of its
-#: ramp; SWING_RANGE: of the slider's natural frequency.
+#: Largest deviations of the motor from the learning's model. GAIN_RANGE: relative deviation of the ratio of the
+#: slider's to the extender's motion; GRIP_RANGE: deviation of the instant at which a clamp grips or releases, as a
+#: fraction of the clamp's ramp; SWING_RANGE: relative deviation of the slider's natural frequency.
 GAIN_RANGE = 0.1
 GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
@@ -435,7 +435,7 @@ def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
 
 
 def contacts(walk: WalkParameters, gait: GaitParameters) -> tuple[float, float]:
-    """Return the fractions of a clamp's closing and opening ramp at which it touches and releases the slider."""
+    """Return the fractions of a clamp's closing and opening ramp at which the clamp touches and releases the slider."""
     span = gait.grip_voltage - gait.release_voltage
     level, linear = (walk.touch_voltage - gait.release_voltage) / span, gait.clamp_ramp == "linear"
     return crossing(linear, level), crossing(linear, 1.0 - level)
@@ -467,7 +467,7 @@ def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, 
 
 
 def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Offset = NOMINAL) -> np.ndarray:
-    """Return M, shape (bins, splines): motion of the slider, by phase, for a coefficient of 1, at the learning speed.
+    """Return M, shape (bins, splines): slider motion in each phase bin per unit of coefficient, at the learning speed.
 
     The motion is measured from the extension at which the front clamp grips. While the rear clamp is open the slider
     follows the extender and oscillates; when the rear clamp grips, the slider stands still.

@@ -342,7 +342,7 @@ def stopping(p, x):
 
 @kernel
 def run_phase(p, x):
-    """Compute a sample of the present phase; the phase may end in another one."""
+    """Compute a sample of the present phase; this sample may begin another phase."""
     phase = x[at.PHASE]
     if x[at.CYCLE] != 0.0 and phase != at.STOPPING:
         stride(p, x)

@@ -31,7 +31,7 @@ OFFSET = 1
 COVARIANCE = 2  # variance of the gain, covariance of gain and offset, variance of the offset
 SIZE = 5
 
-#: Standard deviations: of gain and offset before the first step, and of one measured step.
+#: Standard deviations of gain and offset before the first step, and of the measured length of a step.
 GAIN_DEVIATION = 0.05
 OFFSET_DEVIATION = 0.5
 STEP_DEVIATION = 2.0e-3
@@ -40,7 +40,7 @@ STEP_DEVIATION = 2.0e-3
 LOWEST_GAIN = 0.5
 HIGHEST_GAIN = 1.5
 
-#: Smallest and largest length that the model may give for the longest step, as fractions of the step's extension.
+#: Bounds of the length that the model predicts for the longest step, as fractions of the step's extension.
 SHORTEST = 0.1
 LONGEST = 2.0
 
@@ -103,12 +103,12 @@ SHORT_STEP = 0.05
 SLOW_STEP = 0.1
 #: Largest deflection by the load, as a fraction of the stroke.
 LOAD_PART = 0.8
-#: Factors on the measured mean deflection that give the correction of the learned deflection. LOAD_GAIN applies to
-#: every step, FIRST_LOAD_GAIN to the first one, in which the controller's integral has already compensated about half
-#: of the deflection.
+#: Factors on the measured mean deflection that give the correction of the learned deflection. FIRST_LOAD_GAIN applies
+#: to the first step, in which the controller's integral has already compensated about half of the deflection. The
+#: factor of step n is FIRST_LOAD_GAIN/n, but not less than LOAD_GAIN.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
-#: Up to this mean deflection, as a fraction of the stroke, it may be the lag of the extender and is not learned.
+#: A mean deflection up to this fraction of the stroke may be the lag of the extender, and is not learned.
 LAG_PART = 0.02
 #: Tolerance for equal extensions [m].
 EQUAL = 1.0e-12
@@ -116,7 +116,7 @@ EQUAL = 1.0e-12
 
 @kernel
 def fail(x, error):
-    """Stop with an error until the next start; the first error stays."""
+    """Stop with an error until the next start; a later error does not replace the first one."""
     if x[at.MODE] != at.FAILED:
         x[at.MODE] = at.FAILED
         x[at.ERROR] = error
@@ -160,7 +160,7 @@ def move(p, x, target):
 
 @kernel
 def let_go(x):
-    """Let the controller measure the extender again, before a clamp opens."""
+    """Switch the controller's measurement to the extender again, before a clamp opens."""
     x[at.SOURCE] = at.OWN
     x[at.BIAS] = x[at.EXTENDER] - x[at.TIP]
     x[at.MOVE_DONE] = 0.0
@@ -227,13 +227,13 @@ def highest(p, x):
 
 @kernel
 def within(p, x, extension):
-    """Return whether an ``extension`` [m] is in the range of the steps."""
+    """Return whether an ``extension`` [m] is in the range that steps may use."""
     return extension >= lowest(p, x) - EQUAL and extension <= highest(p, x) + EQUAL
 
 
 @kernel
 def pretension(p, x, target):
-    """Begin to transfer the load from the opening clamp to the extender, which the load deflects by ``target`` [m]."""
+    """Begin a ramp of the pretension, the compensated deflection of the extender by the load, to ``target`` [m]."""
     x[at.PRETENSION_FROM] = x[at.PRETENSION]
     x[at.PRETENSION_TO] = target
 
@@ -246,21 +246,21 @@ def load_time(p, x):
 
 @kernel
 def pretensioning(x, duration):
-    """Advance the pretension by a sample; it takes ``duration`` samples from the beginning of the phase."""
+    """Advance the pretension by a sample; its ramp takes ``duration`` samples from the beginning of the phase."""
     part = cycloid((x[at.TIMER] + 1.0) / duration)
     x[at.PRETENSION] = x[at.PRETENSION_FROM] + (x[at.PRETENSION_TO] - x[at.PRETENSION_FROM]) * part
 
 
 @kernel
 def feel(x):
-    """Sum the deflection of the extender while it carries; the mean over a step contains no oscillation."""
+    """Add the deflection of the carrying extender to its sum; the oscillation averages out over a step."""
     x[at.GIVEN_WAY] += x[at.EXTENDER] - x[at.TIP] - x[at.BIAS] * (1.0 - cycloid(x[at.MOVE_DONE]))
     x[at.FELT] += 1.0
 
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by a fraction of the mean deflection after the load transfer, less with each step."""
+    """Correct the learned load by the mean deflection after the load transfer; the factor falls to LOAD_GAIN."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke
@@ -302,7 +302,7 @@ def account(p, x):
 
 @called
 def carry_from(p, x, start):
-    """Open a clamp: the rear one if the extender is at the start of the step, else the front one, to move it there."""
+    """Open the rear clamp if the extender is at the step's start, else the front one to move the extender there."""
     if x[at.RETURNS] > p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
         return
@@ -323,8 +323,8 @@ def carry_from(p, x, start):
 def plan_partial(p, x, length):
     """Choose the extension for a step of ``length`` ≥ 0 [m] and return the extension at which the step starts [m].
 
-    A step before fine positioning ends in the middle of the extender's range; if it is too long for this, another step
-    follows. Without fine positioning, a step starts at the present extension, if it fits into the range.
+    A step before fine positioning ends in the middle of the extender's range; if ``length`` is too large for this,
+    another step follows. Without fine positioning, a step starts at the present extension, if it fits into the range.
     """
     stroke = p[at.HIGHEST] - p[at.LOWEST]
     middle = 0.5 * (lowest(p, x) + highest(p, x))

@@ -131,7 +131,7 @@ def tip(p, x, phase, glide):
     """Return the desired position [m] of the extender at ``phase``, and store the correction in ``x``.
 
     ``glide`` is the weight of the new coefficients of the correction, relative to the previous ones. If the slider
-    oscillates, it needs additional extension while it accelerates.
+    can oscillate, the extension is increased in proportion to the slider's acceleration.
     """
     b, n, first = bounds_of(x), int(p[at.SPLINES]), coefficients(p, x)
     half = p[b + at.RETURNED]
@@ -139,7 +139,7 @@ def tip(p, x, phase, glide):
     new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
     x[at.CORRECTION] = old + glide * (new - old)
     acceleration = 0.0
-    if p[at.TIP_INERTIA] > 0.0:  # this lead would excite a resonance of the extender that is not known
+    if p[at.TIP_INERTIA] > 0.0:  # this lead might excite an unknown resonance of the extender
         new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
         acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
     if phase < half or phase >= p[b + at.RETURN]:
@@ -296,7 +296,7 @@ def observe(p, x):
 
 @called
 def begin_walk(p, x):
-    """Begin continuous walking: the extender first moves to where it is in a cycle while both clamps hold."""
+    """Begin continuous walking: the extender first moves to its position in the cycle when the rear clamp opens."""
     turn(x, x[at.SPEED])
     aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
@@ -340,7 +340,7 @@ def advance(p, x):
 
 @called
 def go_on(p, x, phase):
-    """Enter the process of the gait at ``phase``; while both clamps hold, evaluate the step, and stop at its limit."""
+    """Enter the process of the gait at ``phase``; evaluate finished steps, and stop before the limit of the travel."""
     now = process(p, x, phase)
     if now == x[at.PHASE]:
         return

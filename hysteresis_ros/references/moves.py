@@ -24,7 +24,7 @@ from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
 
 
 class Arrival:
-    """Detector of an arrival: an error has stayed within a tolerance for a dwell time, by the times of the samples.
+    """Detector of an arrival: the error has stayed within a tolerance for a dwell time, by the samples' time stamps.
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ class Settling:
     """Determines at each sample whether an axis has settled.
 
     A sample counts if the measurement is within the tolerance of the reference, and if the reference moves by less than
-    the tolerance within the time. A sample that does not count (for example, one without a measurement) restarts the
-    time, and so does a new setpoint. Therefore a step has settled when its response has stayed in the band for this
-    time.
+    the tolerance within ``time``. A sample that does not count (for example, one without a measurement) restarts
+    ``time``, and so does a new setpoint. Therefore a step has settled when its response has stayed in the band for
+    ``time``.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Settling:
         self.restart()
 
     def restart(self) -> None:
-        """Restart the time."""
+        """Restart the time for which the measurement must stay in the band."""
         self._count = 0
         self.settled = False
 
@@ -178,7 +178,7 @@ class Noise:
     sensor : float
         Standard deviation of the noise of a measurement [m].
     displacement : float
-        Standard deviation of the displacement [m]; the loop causes it by the noise that it feeds back.
+        Standard deviation of the displacement [m], caused by the sensor noise that the loop feeds back.
     """
 
     sensor: float
@@ -197,7 +197,8 @@ class NoiseMeter:
     motion is small. The variance of the error is the sum of the variances of the sensor's noise and of the
     displacement, because noise does not move the axis within the same sample. In each block of samples, the variance is
     taken around a straight line, so that a slow drift does not count as noise. The end of a response does not count
-    either: if a block has much less variance than the previous blocks while the reference rests, it replaces them.
+    either: if a block has much less variance than the previous blocks while the reference rests, the new block replaces
+    the previous ones.
 
     Parameters
     ----------
@@ -207,7 +208,7 @@ class NoiseMeter:
         Sample time [s].
     """
 
-    #: Smallest number of samples of an estimate, and number of samples over which it averages.
+    #: Smallest number of samples for an estimate, and largest number of samples that an estimate averages.
     FEWEST, AVERAGED = 100, 10_000
     #: Smallest number of samples for which the reference must be constant; smallest number of samples in a block; and
     #: smallest factor by which the variance must fall if a block is to replace the previous ones.
@@ -219,7 +220,7 @@ class NoiseMeter:
         self._last = np.full((2, 2), math.nan)
         self._still = self.count = 0
         self._differences = 0.0
-        # number of samples and variance of the error: before the present rest of the reference, and in it
+        # number of samples and variance of the error: before the reference came to its present rest, and since then
         self._before, self._present = (0, 0.0), (0, 0.0)
 
     def take(self, reference, measured) -> None:
@@ -252,7 +253,7 @@ class NoiseMeter:
             self._before, self._present = self._together(self._before, self._present), (0, 0.0)
 
     def _together(self, one, other) -> tuple[int, float]:
-        """Return number of samples (at most :data:`AVERAGED`) and mean variance of two parts together."""
+        """Return number of samples (at most :data:`AVERAGED`) and mean variance of two sets of samples."""
         count = one[0] + other[0]
         mean = (one[0] * one[1] + other[0] * other[1]) / count if count else 0.0
         return min(count, self.AVERAGED), mean
@@ -263,7 +264,7 @@ class NoiseMeter:
         return math.sqrt(self._differences / 6.0) if self.count >= self.FEWEST else math.nan
 
     def noise(self, displacement: float = 0.0, error: float = 1.0) -> Noise:
-        """Return the axis' noise; error that the model of the loop does not explain counts as motion (vibration, hum).
+        """Return the axis' noise; variance that the loop's model does not explain counts as motion (vibration, hum).
 
         Parameters
         ----------

@@ -309,7 +309,8 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
     Raises
     ------
     ParameterError
-        The waveform is unknown, or a parameter is unknown, missing or wrong; names begin with ``waveform.``.
+        The waveform is unknown, or a parameter is unknown, missing or wrong; names in the message begin with
+        ``waveform.``.
     """
     if kind not in WAVEFORMS:
         remedy = f"unknown waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
@@ -350,7 +351,7 @@ def played(values: Mapping[str, Any], sample_time: float) -> float:
     Parameters
     ----------
     values : mapping of str to object
-        Its parameters.
+        Parameters of the waveform.
     sample_time : float
         [s]
 
@@ -386,8 +387,8 @@ def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> 
     """Return the value of a parameter's text, in the type of the parameter.
 
     The text is a number with its unit or in SI units, several such numbers separated by commas for an array, a choice,
-    or a path. If ``gain`` of an axis in open loop without inverse [m/V] is given, lengths may be voltages. ValueError:
-    the text is not a value of the parameter; the message states what is allowed.
+    or a path. If the ``gain`` [m/V] of an axis in open loop without inverse is given, lengths may be voltages.
+    ValueError: the text is not a value of the parameter; the message states what is allowed.
     """
     if row.type is str:
         # the path is absolute, because nodes may run in another folder

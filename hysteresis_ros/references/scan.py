@@ -44,8 +44,8 @@ ORDERS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"), ("j
 EDGE = 1e-6
 #: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
-#: Number of points from which harmonics are computed: for each pass, the desired and the smallest number; for each
-#: period, the bounds that usually apply.
+#: Desired and smallest number of points per pass for the computation of harmonics, and bounds of the number per period.
+#: The smallest number per pass takes precedence over the upper bound per period.
 POINTS, FEW_POINTS = 1024, 64
 LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
 #: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The remaining motion has 1 % of the total RMS.
@@ -552,8 +552,8 @@ def largest_frame_rate(scan: Scan, limits: ScanLimits) -> float:
 def check_limits(scan: Scan, limits: ScanLimits) -> None:
     """Raise ParameterError if the axes cannot follow a scan.
 
-    This is the case if an axis leaves its range or exceeds a limit. The message states for each such axis by how much,
-    and the allowed frame rate.
+    This is the case if an axis leaves its range or exceeds a limit. The message states each excess and the allowed
+    frame rate.
     """
     found = [*_beyond_range(scan, limits)]
     best = largest_frame_rate(scan, limits)
@@ -606,7 +606,7 @@ def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
 
 
 def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number rounded down to significant digits, so that the number that is printed is allowed."""
+    """Return a positive number rounded down to significant digits, so that the printed number is within the limit."""
     if not 0.0 < value < math.inf:
         return value
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)

@@ -25,8 +25,8 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.references.scan import EDGE, Marks, Scan, frame_marks, line_marks, pixel_marks
 from hysteresis_ros.signals import Edge
 
-#: Largest number of periods of a path that together may be a whole number of samples, and largest distance between the
-#: end of a path and a sample [samples].
+#: Largest number of periods that together make a whole number of samples; and largest distance from the end of a path
+#: back to a sample that still counts as the end [samples].
 MOST_PERIODS, WHOLE = 1000, 1e-6
 #: Levels of a clock; each level includes the coarser ones.
 LEVELS = ("none", "frame", "line", "pixel")
@@ -34,7 +34,7 @@ _MARKS = {Edge.FRAME: frame_marks, Edge.LINE: line_marks, Edge.PIXEL: pixel_mark
 
 
 def samples_of_period(period: float, sample_time: float) -> Fraction:
-    """Return the period of a path in samples, as the nearest fraction that is whole within 1000 periods.
+    """Return the period of a path in samples, as the nearest fraction with a denominator of at most 1000.
 
     Units: ``period``, ``sample_time`` [s].
     """
@@ -147,7 +147,7 @@ class ScanClock:
         return self._marks(*map(int, self._counts([after, until], self._places, self._end)))
 
     def next_after(self, sample: int) -> float:
-        """Return the first sample of the waveform after ``sample`` at which something begins; infinite: none.
+        """Return the first sample after ``sample`` at which something begins; infinite if there is no such sample.
 
         Parameters
         ----------

@@ -28,8 +28,8 @@ from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import kernel
 
-#: Parameters: SMOOTH is 1 if the approach has limits, so that its velocity is that of the motion. DECELERATION 0: stop
-#: within one sample.
+#: Parameters: SMOOTH is 1 if the approach has limits: the samples then define a velocity. DECELERATION 0: stop within
+#: one sample.
 SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 
 #: State: ACTIVE is one of the codes below; PENDING is 1 if a trajectory is accepted but no sample is computed yet;
@@ -120,7 +120,7 @@ def advance(p, x):
 
 @kernel
 def note_motion(p, x, position, smooth):
-    """Store position, velocity and acceleration of a sample; for a motion that jumps, the latter two are zero."""
+    """Store position, velocity and acceleration of a sample; unless ``smooth``, velocity and acceleration are 0."""
     velocity, acceleration = 0.0, 0.0
     if smooth != 0.0:
         velocity = (position - x[POSITION]) / p[SAMPLE_TIME]
@@ -345,7 +345,7 @@ def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at=
 
 
 def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return N polynomials with ``coefficients``, shape (degree + 1, N), each at M times of its own, shape (M, N)."""
+    """Return N polynomials with ``coefficients``, shape (degree + 1, N), each at its own M times, shape (M, N)."""
     value = np.zeros_like(tau)
     for row in coefficients[::-1]:
         value = value * tau + row

@@ -68,7 +68,7 @@ class TriggerInputParameters(Parameters):
 
 @dataclass(frozen=True)
 class TriggerParameters(Parameters):
-    """Where and when an axis triggers: one of positions, start/step/stop, times, and each."""
+    """Where or when an axis triggers: only one of positions, start/step/stop, times, and each may be given."""
 
     positions: tuple[float, ...] = parameter((), unit="m", description="positions that trigger, increasing")
     start: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="first position of a grid")
@@ -125,12 +125,12 @@ class TriggerParameters(Parameters):
 
     @property
     def asked(self) -> bool:
-        """Whether anything triggers, or the trigger input acts."""
+        """Whether the axis has trigger events, or the trigger input has an action."""
         return self.makes_events or self.input.action != "none"
 
     @property
     def makes_events(self) -> bool:
-        """Whether anything triggers."""
+        """Whether the axis has trigger events."""
         return self.compares or bool(self.times) or self.each != "none"
 
     @property
@@ -209,7 +209,7 @@ def trigger_problems(
     longest: Callable[[], tuple[float, str]],
     waveform: WaveformParameters | None = None,
 ) -> Iterator[Problem]:
-    """Yield a Problem for each trigger that the axis cannot make: outside its range, or faster than its samples allow.
+    """Yield a Problem for each impossible trigger: outside the axis' range, or faster than the sample rate allows.
 
     ``given`` has no inconsistencies; ``low`` and ``high`` are the ends of the range of the reference [m]. ``longest()``
     returns the longest path within a sample [m] and its cause; it is called only if there are positions. ``waveform``
@@ -278,11 +278,11 @@ def _scan_problems(
 # Parameters: distance after which a position is armed again [m], sample time [s], smallest number of samples between
 # two events, bit of the scan's edges, action of the trigger input, distance of its step [m], range of the setpoint [m].
 REARM, SAMPLE_TIME, SPACING, BIT, ACTION, DISTANCE, LOWEST, HIGHEST = range(8)
-# State: number of positions that are not armed for the motion up, and number of those that are armed for the motion
-# down; the last three measurements [m], how many of them are known in a row (0 … 3), and number of samples since the
-# last one; number of events, and of samples since the last event; index of the next time, last sample of the waveform;
-# setpoint in force, as given, and as reached by steps (NaN: no steps) [m]; number of refused pulses of the trigger
-# input.
+# State: number of positions that are not armed for the motion up, and number of positions that are armed for the motion
+# down; the last three measurements [m], number of consecutive ones (0 … 3), and number of samples since the last
+# measurement; number of events, and of samples since the last event; index of the next time, last sample of the
+# waveform; setpoint in force, as given, and as reached by steps (NaN: no steps) [m]; number of refused pulses of the
+# trigger input.
 ABOVE, BELOW, LAST, BEFORE, OLDER, KNOWN, AGE, NUMBER, SINCE, NEXT, PASSED = range(11)
 IN_FORCE, GIVEN, TARGET, REFUSED = range(11, 15)
 STATES = 15
@@ -335,8 +335,8 @@ def rest_triggers(arrays: TriggerArrays, initial: float) -> None:
 def crossing(first, last, second, third, position):
     """Return the fraction of a sample at which a cubic from ``first`` to ``last`` [m] reaches a position between them.
 
-    ``second`` and ``third`` are the second and third differences of the last measurements [m]; with 0 the order is
-    lower.
+    ``second`` and ``third`` are the second and third differences of the last measurements [m]; 0 lowers the
+    degree of the polynomial.
     """
     path = last - first
     low, high = 0.0, 1.0
@@ -412,7 +412,7 @@ def pass_instant(p, x, row, measured, delay):
 
 @nested
 def compare(arrays, row):
-    """Write the trigger of a sample to its row, which has none yet, from measurement and sample of the waveform.
+    """Detect the trigger of a sample from the measurement and the waveform's sample number, and write it to ``row``.
 
     While the plant has stopped the axis, there are no triggers. Afterwards, the position of the axis determines which
     positions are armed.

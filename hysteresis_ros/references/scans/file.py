@@ -9,7 +9,7 @@
 
 """A path from a file: a smooth curve through its points, closed by a way back from the last to the first point.
 
-Between the points each coordinate is a cubic spline over the time. Its velocity and acceleration are continuous, also
+Between the points each coordinate is a cubic spline in time. Its velocity and acceleration are continuous, also
 from one frame to the next. A path closes by itself if its last point is the first point or one step before it. Any
 other path needs a way back, which takes a given fraction of the frame. The way back is the polynomial of fifth degree
 that continues position and velocity at both ends, with zero acceleration there.
@@ -105,7 +105,7 @@ class File(Scan):
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Instants since the first point, up to the return to it [s]; points [m]; end of the data [s].
+        """Instants from the first point to the return to this point [s]; points [m]; end of the data [s].
 
         The shapes are (N,) and (2, N); the last point is equal to the first one.
         """
@@ -127,7 +127,7 @@ class File(Scan):
                 raise self._refused("way_back", f"{text}, e.g. 0.1")
             time = np.append(time, 2.0 * time[-1] - time[-2])
             return time, np.append(points, points[:, :1], axis=1), float(time[-1])
-        # the way back gets points as dense as those in the file
+        # on the way back, the points are as dense as in the file
         end = float(time[-1])
         lasts = end * self.way_back / (1.0 - self.way_back)
         count = max(8, min(MOST, round(lasts / end * (time.size - 1))))

@@ -45,7 +45,7 @@ class Raster(Scan):
     pattern : str
         One of :data:`PATTERNS`.
     turn : float
-        Fraction of a pass that the turn takes; with the pattern ``trace``, that the return takes.
+        Fraction of a pass that the turn takes; with the pattern ``trace``, fraction that the return takes.
     turn_law : str
         Motion profile of turns, steps and flyback.
     slow : str

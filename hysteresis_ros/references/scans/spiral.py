@@ -43,7 +43,7 @@ from hysteresis_ros.configuration import parameter
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Number of points in each part of a frame at which the largest magnitudes of the derivatives are searched.
+#: Number of points per part of a frame (core, spiral, rim) for the search of the derivatives' largest magnitudes.
 LOOKS = 4000
 #: Number of points of the table for an initial estimate of the angle, and number of the following Newton steps.
 TABLE, STEPS = 4000, 3
@@ -56,7 +56,7 @@ class Spiral(Scan):
     Parameters
     ----------
     diameter : float
-        Diameter of the disc in which neighbouring arms have a constant distance, without the reversal at the rim [m].
+        Diameter of the disc in which neighbouring arms have a constant distance [m]; excludes the reversal at the rim.
     turns : int
         Number of revolutions per frame; a quarter revolution is added.
     law : str

@@ -113,7 +113,7 @@ class Waveform(Block):
     def duration_samples(self) -> int:
         """Length of the waveform in samples; 0 if it has no end.
 
-        The last of several steps counts as long as the previous one.
+        The last of several steps is assumed to last as long as the previous one.
         """
         return self.parameters.shape.duration(self.p)
 

@@ -9,7 +9,7 @@
 
 """The basic waveforms: hold, sine, triangle, square, staircase, and the decaying ones.
 
-Each kernel computes one cycle from the position within the cycle; :func:`.cyclic` adds what all of them share.
+Each kernel computes one cycle from the position within the cycle; :func:`.cyclic` adds what all kernels share.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from hysteresis_ros.references.declaration import (
     whole_turns,
 )
 
-#: Parameters of single waveforms; for waveforms with a polarity, they follow it.
+#: Parameters of single waveforms; they follow the polarity, if there is one.
 DUTY = OWN + 1
 LEVELS = OWN + 1  # levels per cycle
 CYCLES = OWN + 1

@@ -29,7 +29,7 @@ from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, O
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 #: Seconds per unit, by the names allowed in a header.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-#: Largest deviation of the samples from a uniform grid, and of this grid from that of the generator, in sample times.
+#: Largest deviation of the samples from a uniform grid, and of this grid from the generator's grid, in sample times.
 GRID_TOLERANCE = 0.01
 LARGEST_TABLE = 10_000_000
 

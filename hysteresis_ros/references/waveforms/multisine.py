@@ -93,7 +93,7 @@ def _phases(own: MultisineParameters) -> np.ndarray:
         index = np.arange(1, count + 1)
         # M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85, flat spectrum: Σ cos(… − π i(i−1)/M), here with sines
         return 0.25 - 0.5 * ((index * (index - 1)) % (2 * count)) / count
-    # the raw numbers of a bit generator are the same in every NumPy (NEP 19); those of distributions may differ
+    # the raw numbers of a bit generator are the same in every NumPy (NEP 19); numbers from its distributions may differ
     return (np.random.PCG64(own.seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 

@@ -91,7 +91,7 @@ def pack(parameters, sample_time: float) -> Packed:
     Raises
     ------
     ParameterError
-        There is no such scan, one of its parameters is wrong, it has no such coordinate, or it does not repeat.
+        There is no such scan, one of its parameters is wrong, or the scan has no such coordinate or does not repeat.
     """
     # imported here, because the scan from a file imports the waveform ``file``
     from hysteresis_ros.references.scans import parsed_scan
