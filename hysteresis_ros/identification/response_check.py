@@ -65,6 +65,10 @@ STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
 #: Peaks are ignored where the residual is below this fraction of the movement that the model explains.
 RINGS = 0.3
+#: A model with a mode of at most this damping ratio has a resonance within the half-power bandwidth of this mode. What
+#: rings there, such as the steps of a converter or of late samples, is motion of the same mode; errors of its frequency
+#: and damping are visible in the response.
+LIGHT = 0.05
 #: Another source of movement is reported if more than this fraction of the output's power is not a linear response to
 #: the input.
 FOREIGN = 0.25
@@ -171,7 +175,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     z = np.exp(2j * np.pi * spectra.frequencies * data.sample_time)
     plant = plant_state_space(replace(chain.dynamics, input_scale=0.0))
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
-    ringing = _ringing(spectra, response)
+    ringing = _ringing(spectra, plant, response, data.sample_time)
     uncertainty, shown = _uncertainty(spectra, response, ringing)
     # a band without excitation cannot test a model, but ringing in this band is an error of the model
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
@@ -246,8 +250,8 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
     return float(undone @ spectra.incoherent() / (undone @ whole))
 
 
-def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return the frequencies of peaks in the spectrum of the residual that the spectrum of the input does not have."""
+def _ringing(spectra: SegmentSpectra, plant, response, sample_time: float) -> tuple[float, ...]:
+    """Return the frequencies of peaks in the residual's spectrum that neither the input's spectrum nor the model has."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]
@@ -255,8 +259,19 @@ def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
     ratio[spectra.frequencies < 20.0 * spectra.resolution] = 0.0
     explained = spectra.smooth(np.abs(response) ** 2 * given, NARROW)
     ratio[spectra.smooth(left, NARROW) < RINGS**2 * explained] = 0.0
-    place = int(np.argmax(ratio))
-    return (float(spectra.frequencies[place]),) if ratio[place] > STANDS_OUT else ()
+    poles = np.log(plant.poles[plant.poles.imag > 0.0]) / sample_time / (2.0 * np.pi)
+    light = poles[-poles.real <= LIGHT * np.abs(poles)]
+    stands_out = ratio > STANDS_OUT
+    while np.any(stands_out):
+        place = int(np.argmax(np.where(stands_out, ratio, 0.0)))
+        peak = float(spectra.frequencies[place])
+        if not np.any(np.abs(peak - np.abs(light)) <= spectra.resolution - light.real):
+            return (peak,)
+        others = np.flatnonzero(~stands_out)
+        after = int(np.searchsorted(others, place))
+        first = others[after - 1] + 1 if after else 0
+        stands_out[first : others[after] if after < len(others) else len(ratio)] = False
+    return ()
 
 
 #: Number of lowest lines at which the gain is compared with the model.

@@ -122,6 +122,18 @@ def test_a_light_mode_within_the_known_range_limits_the_loop(damping, share):
     assert not stable(part, found.believed) and stable(part, found.certain) and found.certain > 1.0
 
 
+def test_a_mode_of_the_model_that_the_steps_of_a_converter_excite_is_no_missing_resonance():
+    """A slow recording has no content at the mode, so nearly all motion there is that of the 80 mV steps."""
+    part = LinearPart(modes=(Mode(280.0, 0.01),), hold=STEP)
+    voltage = 50.0 + 45.0 * np.sin(2.0 * np.pi * 0.9 * np.arange(16000) * STEP)
+    stepped = replace(recording(part, 8e-2 * np.round(voltage / 8e-2), 1e-10), input=voltage)
+    found = check_response(chain(part), stepped, 1000)
+    assert found.ringing == () and found.fit_for_feedback
+    other = LinearPart(modes=(Mode(320.0, 0.01),), hold=STEP)
+    missed = check_response(chain(other), stepped, 1000)
+    assert missed.ringing == pytest.approx((280.0,), abs=2.0) and not missed.fit_for_feedback
+
+
 def test_the_certain_crossover_shrinks_with_the_uncertainty():
     plant = plant_state_space(LinearPart(lag=0.01, hold=STEP).dynamics(STEP))
     fastest = [
