@@ -197,8 +197,8 @@ class Axis:
     def with_plant(self, parameters: AxisParameters) -> Axis:
         """Return an axis with a new plant, and with the source, controller and compensator of this axis.
 
-        The other parts need not be built again when only the plant differs between runs. Do not use this axis
-        afterwards.
+        The new axis takes over the other parts, which saves time when only the plant differs between runs. Do not use
+        this axis afterwards.
         """
         other = copy.copy(self)
         other.parameters, other.sample = parameters, 0

@@ -44,11 +44,11 @@ KEPT = (
     *("reference", "command", "voltage", "displacement", "measured"),
     *("saturated", "tripped", "plant_voltage", "plant_mode"),
 )
-#: Arrays longer than this stand at the end of an axis' row, because most of their memory is never accessed.
+#: Arrays longer than this are stored at the end of an axis' row, because most of their memory is never accessed.
 LONG = 512
 #: Alignment of the rows [numbers]: two axes never share a cache line.
 LINE = 8
-#: Names of the nodes for the fields of :class:`.Parts`, and indices of their kernels in :class:`.Laws`.
+#: Node of each field of :class:`.Parts`; below, the indices of its kernels in :class:`.Laws`.
 NODES = {
     "plant": "plant_simulator",
     "source": "reference_generator",
@@ -152,14 +152,14 @@ class ArrayRun:  # numpydoc ignore=PR02
 
 
 class AxisArray:
-    """Independent axes of one structure, advanced together by one compiled call; :func:`.axis_array` makes it.
+    """Independent axes of one structure, advanced together by one compiled call; create it with :func:`.axis_array`.
 
     Parameters
     ----------
     parameters : sequence of AxisParameters
         Parameters of each axis, 1 … 4096 axes.
     threads : int
-        Threads that share the axes. The results do not depend on their number.
+        Threads that share the axes. The results do not depend on the number of threads.
 
     Raises
     ------
@@ -255,7 +255,7 @@ class AxisArray:
         Parameters
         ----------
         setpoints : array_like, shape (n,) or ()
-            Setpoint of each axis [m], or one for all.
+            Setpoint of each axis [m], or one setpoint for all axes.
 
         Returns
         -------
@@ -340,7 +340,7 @@ class AxisArray:
 
 @dataclass(frozen=True)
 class ArrayNodeParameters(NodeParameters):
-    """Parameters of ``axis_array``: many independent axes, each as the other sections of the file describe it."""
+    """Parameters of ``axis_array``: many independent axes with the parameters of the file's other sections."""
 
     axes: int = parameter(1, low=1, high=MOST_AXES, read_only=True, description="number of axes")
     threads: int = parameter(1, low=1, high=MOST_THREADS, read_only=True, description="threads that share the axes")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis compensator as a part of the loop: from the command to the voltage and the achieved command."""
+"""The hysteresis compensator in the loop: it computes the voltage and the achieved command from the command."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ _ADAPTED_HEADER = """\
 # Own parameters.
 SAFE_VOLTAGE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
-TOLERANCE = 2  # tolerance between the plant's output and the voltage sent [V]; infinite: the output is unknown
+TOLERANCE = 2  # largest ignored difference between plant output and voltage sent [V]; infinite: output unknown
 OWN_PARAMETERS = 3
 
 # Own state.
@@ -133,8 +133,8 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # the voltage follows the voltage of the inverse; the difference between the two decreases at most at the slew
-        # rate that is used for the way to the safe voltage
+        # the output follows the voltage of the inverse; their difference decreases at most at the slew rate for the
+        # safe voltage
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -221,7 +221,8 @@ class CompensatorPart:
     def follow_plant(self, rounding: float, begins_safe: bool) -> None:
         """Follow the plant's output when it differs from the voltage sent.
 
-        Only a loop that computes all parts of a sample does this: separate nodes receive the output too late.
+        Only a loop that computes all parts of a sample calls this method, because separate nodes receive the output too
+        late.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -241,7 +242,7 @@ class CompensatorPart:
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, (faulty.COMMAND,), self.parameters.sample_rate)
-        # the sample numbers of the commands also start now
+        # the sample numbers of the commands also count from now
         self.arrays.watch_x.guard[STAMP] = -1.0
         watch_p = self.arrays.watch_p._replace(faults=p)
         self.arrays = self.arrays._replace(
@@ -253,7 +254,7 @@ class CompensatorPart:
         self.arrays.watch_x.own[STOP] = 1.0
 
     def start(self) -> None:
-        """Continue without a jump: the difference between the voltage and that for the command fades out."""
+        """Continue without a jump: the difference between the present voltage and the command's voltage fades out."""
         self.arrays.watch_x.own[STOP] = 0.0
         self.arrays.watch_x.own[RETURNING] = 1.0
 
@@ -328,7 +329,7 @@ class CompensatorPart:
     def make_safe(self) -> float:
         """Go to the safe voltage [V] immediately and return it; it is the last message of an exiting node."""
         limits = self.arrays.p.limits
-        # the slew rate limit must not keep the last message from being the safe voltage
+        # the last message must contain the safe voltage, whatever the slew rate limit
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0
         voltage = self.compensator.hold(self.parameters.safe_voltage)
         limits[limiting.SLEW] = slew

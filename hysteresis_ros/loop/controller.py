@@ -114,7 +114,7 @@ PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
 NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force there is no command
-# those of :mod:`.quiet` follow
+# the parameters of :mod:`.quiet` follow
 
 # Own state.
 STOP = 0  # 1 while stopped
@@ -146,8 +146,8 @@ def present_offset(own_p, own, decay):
 def resume(x, own, value):
     """Restart the controller at the displacement ``value`` [m]; the command continues from the last command.
 
-    The reference also starts at the displacement and fades to the received reference, because of the reaching law: it
-    responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
+    The reference also starts at the displacement and fades to the received reference. The reaching law needs this: the
+    law responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
     achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14). After a quiet hold the controller
     keeps its states, because the axis has stood still.
     """
@@ -161,8 +161,8 @@ def resume(x, own, value):
     if own[quieting.CONTINUES] != 0.0:
         # the mean of the last measurements, because a single measurement would put its noise into the reference
         go_on_from(x.return_path, own[quieting.SEEN])
-        # the command differs from the held command only by the noise of one sample: this difference is halved in each
-        # sample, so no slow fade follows
+        # the command differs from the held command only by the noise of one sample, so the difference is halved in each
+        # sample instead of fading slowly
         x.handover[ARMED], x.handover[BIAS] = 2.0, 0.0
         own[quieting.CONTINUES] = 0.0
     else:
@@ -201,14 +201,14 @@ def follow(p, x, own, wanted):
 
 @kernel
 def follow_while_holding(p, x, own, wanted):
-    """Pass on the reference [m] while a measurement is missing; else the path would be late for the whole preview."""
+    """Pass on the reference [m] while a measurement is missing, so that the feedforward's preview has no gap."""
     if own[RETURNING] == 0.0 and x.feedforward[feeding.STARTED] != 0.0:
         follow(p, x, own, wanted)
 
 
 @nested
 def answer(laws, arrays, value, wanted, force):
-    """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a ``value`` of NaN.
+    """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a missing one (NaN).
 
     ``force`` is the measured force [N].
     """
@@ -248,7 +248,7 @@ def control(laws, arrays, row):
     if own_p[quieting.ON_PULSE] != 0.0 and row[at.TRIGGER_IN] > 0.0:
         begin_quiet(own_p, own, own_p[quieting.ON_PULSE])
     own[FORCE] = row[at.FORCE]
-    # a loop that is designed for the damped stage must stay open while the damping has no force
+    # a loop that is designed for the damped stage must stay open while the damping has no measured force
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
     missing = 1.0 if unforced else row[at.SKIPPED]
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
@@ -289,7 +289,7 @@ def control(laws, arrays, row):
     else:
         follow_while_holding(arrays.p, arrays.x, own, wanted)
     own[UNANSWERED] += 1.0
-    # the law's own command is kept, because its difference to the achieved command shows saturation
+    # the law's own command is kept, because its difference from the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
     sent = quietened(own_p, own, wanted, command) if answered else command
     sent = min(max(sent, own_p[LOWEST]), own_p[HIGHEST])
@@ -397,7 +397,7 @@ class ControllerPart:
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
-        # the sample numbers of the measurements also start now
+        # the sample numbers of the measurements also count from now
         self._watch_x.guard[STAMP] = -1.0
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
@@ -413,7 +413,7 @@ class ControllerPart:
         self._watch_x.own[RETURNING] = 1.0
 
     def quiet(self, duration: float) -> None:
-        """Hold the command constant for ``duration`` [s], beginning after ``quiet.average``; 0 ends a quiet hold."""
+        """Hold the command constant for ``duration`` [s], beginning after twice ``quiet.average``; 0 ends a hold."""
         quieting.require_numbers(duration)
         if self.parameters.use_origin:
             remedy = "an inchworm motor is quiet when its clamps hold it: stop the sequencer instead"

@@ -22,8 +22,8 @@ BASE = "base"
 def robot_description(parameters: SourceParameters, name: str = "hysteresis_axis") -> str:
     """Return a URDF of an axis: a base, and a link that moves along z on a prismatic joint.
 
-    The position limits are those of the reference source; the velocity limit is the source's largest velocity, or, if
-    the source does not limit steps, the whole range in one sample. The effort limit is 0, which means unknown.
+    The position limits are the limits of the reference source. The velocity limit is the source's largest velocity; if
+    the source does not limit steps, it is the whole range in one sample. The effort limit is 0, which means unknown.
     """
     moved = f"{parameters.joint}_tip"
     robot = ET.Element("robot", name=name)

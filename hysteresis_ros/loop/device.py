@@ -10,11 +10,11 @@
 """A device that replaces the simulated plant, accessed from Python or by functions that machine code calls.
 
 The functions of a driver in C do not need Python's lock and allocate no memory; for a driver in Python, the functions
-call the methods of the driver. The voltages are monitored like those of the simulated plant. A device that returns an
-error, or a position that is not a number, stops the axis in that sample: the device is made safe immediately, and is
-not used until the axis is started again.
+call the methods of the driver. The voltages are monitored as for the simulated plant. A device that returns an error,
+or a position that is not a number, stops the axis in that sample: the device is made safe immediately, and is not used
+until the axis is started again.
 
-The limits are those of the parameter file, which must lie within the device's range.
+The limits come from the parameter file and must lie within the device's range.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ ANSWERS = 3
 #: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan, a trigger, the
 #: trigger input.
 NOTHING, READING, WRITING, NONSENSE, CLOCKING, TRIGGERING, PULSING = range(7)
-#: What the device could not do in these failures, for messages.
+#: Text for messages: what could not be done with the device in each failure.
 _DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
 _DEEDS |= {TRIGGERING: "output a trigger", PULSING: "read its trigger input"}
 
@@ -122,7 +122,7 @@ if COMPILED:
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int, numbers: int = 0, reals: int = 0) -> Any:
-        """Return a caller of ``int32_t function(void *, …)`` with pointers, then int64_t, then double numbers.
+        """Return a caller of an ``int32_t`` function of ``count`` pointers, then int64_t numbers, then doubles.
 
         Addresses are data, so that the code can be cached.
         """
@@ -349,7 +349,8 @@ class DrivenPlant(Plant):
     """A device with one actuator, driven from Python.
 
     After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``. ``travel`` [m] is the
-    allowed range of the measurement; by default that of a single axis, from the model in the parameter file.
+    allowed range of the measurement; by default the range of a single axis, computed from the model in the parameter
+    file.
     """
 
     #: Samples of this plant are not compiled.
@@ -435,7 +436,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
 
     def _require_triggers(self, can: Capabilities, device: str) -> None:
-        """Raise a DriverError unless the device can output the triggers of the axis and has its trigger input."""
+        """Raise a DriverError if the device lacks a trigger output or a trigger input that the axis needs."""
         parameters = self.parameters
         given = parameters.triggers
         if parameters.trigger_input and not can.trigger_input:
@@ -493,7 +494,7 @@ class DrivenPlant(Plant):
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] before any is received."""
+        """Voltages [V] before the first voltage is received."""
         return self.parameters.safe_voltage, 0.0, 0.0
 
     @property
@@ -608,7 +609,7 @@ class DrivenPlant(Plant):
             self._fail(error)
 
     def reset(self) -> None:
-        """Restart at the device's present voltage; the output slews to the safe, then to the received voltage."""
+        """Restart at the device's present voltage; slew to the safe voltage, then to the received voltage."""
         self._acknowledge()
         held = self.held()
         super().reset()
@@ -656,7 +657,7 @@ class DrivenPlant(Plant):
         super().retune(parameters)
 
     def step_to_safe(self) -> bool:
-        """Move the voltage one sample towards the safe voltage; False when it is there, or the device has failed."""
+        """Move the voltage one sample towards the safe voltage; False when it is reached, or the device has failed."""
         p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
         if self._failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
             return False
@@ -715,7 +716,7 @@ sense.kinds[DrivenPlant], actuate.kinds[DrivenPlant] = _sense_device, _actuate_d
 
 
 def plant_of(parameters: PlantNodeParameters, travel: Sequence[float] | None = None) -> Plant:
-    """Return the plant of a node: the device of its driver, or the simulated one of its type."""
+    """Return the plant of a node: the device of its driver, or the simulated plant of its type."""
     return DrivenPlant(parameters, travel) if parameters.driver else PLANTS[parameters.type](parameters)
 
 
@@ -792,7 +793,7 @@ class CompiledPlant(DrivenPlant):
         self.arrays.answer[SAFE_CODE] = 0
 
     def recover(self) -> bool:
-        """Make a device safe that was left at another voltage, whose output would step at the next start.
+        """Make safe a device that was left at another voltage, so that its output does not step at the next start.
 
         Returns whether the device was left at another voltage. Any thread may call this method, because the loop does
         not call a device that has failed.

@@ -10,8 +10,8 @@
 """Fault injection: replaces the inputs of the parts of the loop.
 
 A fault has a name, a start and a duration in seconds of the axis' own time, and, for some kinds, a value, written
-``NAME:START:DURATION[:VALUE]``. Faults are parameters of the axis (``faults``, under ``/**``), so nodes, offline twin
-and recording know them: a run with faults can be repeated bit for bit like any other.
+``NAME:START:DURATION[:VALUE]``. Faults are parameters of the axis (``faults``, under ``/**``), so the nodes, the
+offline twin and the recording contain them. A run with faults can be repeated bit for bit like any other run.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Fault:
     Raises
     ------
     ConfigurationError
-        The fault does not exist, or a number is out of range; the message says what is allowed.
+        The fault does not exist, or a number is out of range; the message states what is allowed.
 
     Examples
     --------
@@ -142,7 +142,7 @@ class Fault:
 
 
 def checked_value(text: str, name: str, start: float, duration: float, value: float | None) -> float | None:
-    """Return the value of a fault, by default that of its kind; None if the kind has no value."""
+    """Return the value of a fault, by default the value of its kind; None if the kind has no value."""
     if name not in FAULTS:
         close = difflib.get_close_matches(str(name), FAULTS, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}? " if close else ""
@@ -197,7 +197,7 @@ def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True)
 # Parameter array: number of faults, length of the ring; then five numbers per fault.
 COUNT, RING_LENGTH = 0, 1
 ENTRIES = 2
-TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first one after it, value
+TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first sample after the fault, value
 ENTRY = 5
 
 # State array: number of samples so far, sample number of the measurement, frozen value, state of the random generator;

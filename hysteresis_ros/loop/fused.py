@@ -9,10 +9,10 @@
 
 """The fused runner: one compiled thread runs an axis or a stage against absolute deadlines.
 
-Other threads control the loop: the compiled code applies setpoints, starts and stops at the boundary of a sample. For
-other changes the loop pauses between two samples while the calling thread makes them. Every change is logged with its
-sample, so an :class:`~hysteresis_ros.loop.axis.Axis` or a :class:`~hysteresis_ros.loop.stage.Stage` with the same
-setpoints, changes and skipped samples gives the same bits. All axes of a stage have one clock and skip the same
+Other threads control the loop. Between two samples, the compiled code accepts setpoints, and starts or stops parts. For
+any other change the loop pauses between two samples while the calling thread makes the change. Every change is logged
+with its sample, so an :class:`~hysteresis_ros.loop.axis.Axis` or a :class:`~hysteresis_ros.loop.stage.Stage` with the
+same setpoints, changes and skipped samples gives the same bits. All axes of a stage have one clock and skip the same
 samples.
 """
 
@@ -100,9 +100,9 @@ def has_priority() -> bool:
     return hasattr(os, "sched_getscheduler") and bool(os.sched_getparam(0).sched_priority)
 
 
-#: Longest time ahead of a deadline that is chosen automatically [ns].
+#: Upper limit of the automatic time ahead of a deadline, at which polling of the clock begins [ns].
 LONGEST_SPIN = 100_000
-#: Name of the claims to a core for polling the clock, one for each core but the last; all processes use this name.
+#: Name of the claims of cores for polling the clock, one less than there are cores; all processes use this name.
 CLAIM = "hysteresis_ros/looks"
 #: While this file is open, the largest wake-up latency [µs] written to it limits the sleep states of the processor.
 _DMA_LATENCY = "/dev/cpu_dma_latency"
@@ -114,9 +114,9 @@ def usable_cores() -> int:
 
 
 def claim_of_a_core() -> socket.socket | None:
-    """Claim a core on which a loop may poll the clock; return the claim, to be closed, or None if no core is to spare.
+    """Claim a core on which a loop may poll the clock; return the claim, or None if no core is free.
 
-    The loops of all processes of this machine leave one core to everything else.
+    The caller closes the claim. The loops of all processes on this machine leave one core to other work.
     """
     for index in range(usable_cores() - 1):
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -336,7 +336,7 @@ class FusedLoop:
         return not self.running
 
     def leave(self) -> bool:
-        """End after the present sample; return whether the thread has ended, which a blocked device prevents."""
+        """End after the present sample; return whether the thread has ended: not while a device blocks it."""
         self._ending = True
         self._state[at.LEAVE] = 1
         while not self.is_blocked:
@@ -436,7 +436,7 @@ class FusedLoop:
         self._post({place: {at.POST_HALTS: None} for place in range(len(self._asked))})
 
     def apply(self, change: Change, places: Sequence[int] = (0,)) -> int:
-        """Make a change of these axes, wait until it is done, and return the first sample to which it applies."""
+        """Make a change to these axes, wait until it is done, and return the first sample to which it applies."""
         return self.apply_together({place: change for place in places})
 
     def apply_together(self, changes: Mapping[int, Change]) -> int:
@@ -529,7 +529,7 @@ class FusedLoop:
                 state[at.RESUMED] = wanted
 
     def _refuse_blocked(self) -> None:
-        """Raise a LoopError while nothing can be changed."""
+        """Raise a LoopError while a blocked device prevents changes."""
         if self.is_blocked:
             raise LoopError(
                 f"the device has not returned from sample {self.sample} for {self.patience:g} s: the change is refused"
@@ -621,10 +621,10 @@ def _same(one, other) -> bool:
     return one is other
 
 
-#: A rate is sustained when 99 % of the samples begin within the first fraction of a period, and less than the second
-#: fraction of the samples is skipped.
+#: A rate is sustained when 99 % of the samples begin less than ``LATEST`` periods after the deadline, and the fraction
+#: of skipped samples is less than ``MOST_SKIPPED``.
 LATEST, MOST_SKIPPED = 0.5, 0.005
-#: Number of batches and samples per batch to measure the cost of a sample; the fastest batch counts.
+#: Number of batches and samples per batch to measure the cost of a sample; the fastest batch is used.
 BATCHES, BATCH = 5, 100
 
 

@@ -22,7 +22,7 @@ from hysteresis_ros.references.inchworm_steps import LOAD_PART
 
 #: Ratio of holding force to load below which a warning is given.
 SAFETY_FACTOR = 2.0
-#: Duration of a motion of the extender, in periods of the slider on the extender, below which a warning is given.
+#: Duration of a motion of the extender, in periods of the slider's oscillation on it, below which a warning is given.
 SWINGS = 2.0
 #: Largest crossover frequency of a designed loop, as a fraction of the resonance of the slider on the extender.
 CROSSOVER_PART = 0.25
@@ -74,7 +74,10 @@ def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
-    """Return a warning when ``crossovers`` [Hz] of a design reach the slider's resonance, which is not in the model."""
+    """Return a warning if ``crossovers`` [Hz] of a design come near the slider's resonance.
+
+    The resonance is not in the model.
+    """
     frequency = 1.0 / _swing(plant.inchworm)
     highest = max(crossovers, default=0.0)
     if highest <= CROSSOVER_PART * frequency:
@@ -92,7 +95,7 @@ def _swing(motor) -> float:
 
 
 def _walking_doubts(plant, walk):
-    """Yield a warning for each assumption of continuous walking over the phase that the motor violates."""
+    """Yield a warning for each assumption of continuous walking that the motor violates."""
     if not walk.continuous:
         return
     motor = plant.inchworm

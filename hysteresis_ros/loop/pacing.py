@@ -12,8 +12,8 @@
 The loop computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests,
 inputs and the ring have an entry for each axis.
 
-Parts are started and stopped here, by *switches* between two samples; every other change is made in Python
-(:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch has the same effect as the methods ``start``, ``stop``,
+This loop starts and stops parts between two samples; every other change is made in Python
+(:meth:`hysteresis_ros.loop.axis.Axis.apply`). A start or stop has the same effect as the methods ``start``, ``stop``,
 ``halt`` and ``hold`` of a part.
 
 A sample that would begin a whole period or more after its deadline is skipped: it has no measurement and no command,
@@ -62,7 +62,7 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return node and action of each part that a code switches, except a sequencer, which gets a stop request."""
+    """Return node and action of each part that a code starts or stops; a sequencer gets a stop request instead."""
     codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
     return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 
@@ -118,14 +118,14 @@ class Pace(NamedTuple):
     counts: np.ndarray
     #: Indices of the inputs in a row.
     given: np.ndarray
-    #: The row of the sample with the inputs of the parts, followed by the switches to make before the sample, shape
+    #: The row of the sample with the inputs of the parts, then the starts and stops to execute before the sample, shape
     #: (axes, row length + MOST_SWITCHES, 1).
     column: np.ndarray
     #: Rows that the parts work on, shape (axes, row length).
     row: np.ndarray
     #: Setpoints of the configuration: first sample, value [m], axis; shape (N, 3), in the order of the samples.
     schedule: np.ndarray
-    #: Requests to all axes, a table per request, shape (POSTS, axes, POST).
+    #: Requests to all axes, one table for each post, shape (POSTS, axes, POST).
     posts: np.ndarray
     #: Executed starts, stops and retunings: sample, code, axis; int64, shape (EVENTS, 3).
     events: np.ndarray
@@ -157,8 +157,8 @@ PAUSED, AT_WORK = 18, 19
 AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
 STATES = 24
 
-# Counters of an axis, written by the loop: setpoints, requests, speeds, switches and emergency stops taken; next entry
-# of the schedule; pulses of the trigger input taken.
+# Counters of an axis, written by the loop: numbers of setpoints, requests, speeds, starts or stops, and emergency stops
+# taken; index of the next entry of the schedule; number of pulses of the trigger input taken.
 SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED, PULSED = range(7)
 COUNTS = 7
 
@@ -167,7 +167,7 @@ POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPE
 POST_SWITCH, POST_SWITCHES, POST_HALTS, POST_PULSES = range(6, 10)
 POST = 10
 
-#: Largest number of switches of an axis before one sample.
+#: Largest number of starts and stops of an axis before one sample.
 MOST_SWITCHES = 2
 
 #: Capacity for posts and events, far more than occur within a sample.
@@ -178,15 +178,16 @@ LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
 #: Longest uninterrupted wait [ns]; a request to end the loop is delayed by at most this time.
 PIECE = 50_000_000
-#: Step up of the estimated wake-up time after a longer one, and step down after a shorter one [ns]. The estimate
-#: settles at the 98 % quantile, where both steps balance, and follows a change of 10 µs within some 200 long wake-ups.
+#: Increase of the estimated wake-up time after a longer wake-up, and decrease after a shorter wake-up [ns]. The
+#: estimate settles at the 98 % quantile, where both steps balance, and follows a change of 10 µs within some 200 long
+#: wake-ups.
 LONGER, SHORTER = 49, 1
 #: First estimate of the wake-up time [ns].
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: After the loop has skipped (ring length / ``CATCH_UP``) samples in a row, it waits for the readers; duration of this
-#: wait [ns].
+#: The loop waits for the readers after it has skipped (ring length / ``CATCH_UP``) samples in a row; ``BREATH`` is the
+#: duration of this wait [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
@@ -197,7 +198,7 @@ LEAD = 5_000_000
 if COMPILED:
     from numba import types
 
-    # called by symbol, not by ctypes, because addresses of this process could not be cached with the code
+    # called by symbol, not by ctypes, because an address in this process cannot be cached with the code
     _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     _nanosleep: Any = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
@@ -211,7 +212,7 @@ if COMPILED:
 
     @nested
     def sleep_until(timespec, instant):
-        """Wait until an instant of the monotonic clock [ns], or a signal."""
+        """Wait until an instant of the monotonic clock [ns], or until a signal arrives."""
         timespec[0], timespec[1] = instant // 1_000_000_000, instant % 1_000_000_000
         _nanosleep(MONOTONIC, ABSOLUTE, timespec.ctypes.data, 0)
 
@@ -352,7 +353,7 @@ def switch_all(step, part, own):
 
 @by_part
 def compute(step, part, own):
-    """Compute a sample in the columns by the compiled step."""
+    """Compute the sample in the columns with the compiled step."""
 
 
 @by_part
@@ -460,7 +461,7 @@ def pace(step, part, own, motor):
         state[AT_WORK] = 0
         state[BUSY] += spent
         state[BUSIEST] = max(state[BUSIEST], spent)
-        # this follows a call that is opaque to the compiler, so the store is not moved before the row is complete
+        # the preceding call is opaque to the compiler, so the compiler cannot move this store before the end of the row
         state[HEAD] += 1
         state[SAMPLE] += 1
         if state[IN_ROW] * CATCH_UP >= own.rows.shape[0]:
@@ -479,11 +480,11 @@ class Samples(NamedTuple):
     times: np.ndarray  #: Start of each sample [ns since 1970], whole numbers, shape (N,).
     #: Positions [m], velocities [m/s] and efforts [N] of a motor's joints, shape (JOINT_NUMBERS, N).
     joints: np.ndarray | None
-    lost: int  #: Number of samples before the first one that were overwritten before they were read.
+    lost: int  #: Number of samples before the first one that were overwritten unread.
 
 
 class Lateness(NamedTuple):
-    """Lateness of the samples, skipped samples included, and their cost."""
+    """Lateness of the samples, including skipped ones, and their computing time."""
 
     #: p50, p90, p99, p999, max: quantiles of the lateness [s]; all but the last are accurate to 2 %.
     p50: float
@@ -495,7 +496,7 @@ class Lateness(NamedTuple):
     samples: int  #: All samples.
     cost: float  #: cost, highest_cost: mean and largest computing time of a sample [s].
     highest_cost: float
-    ahead: float  #: Time ahead of a deadline from which the thread polls the clock, at present [s].
+    ahead: float  #: Present time ahead of a deadline from which the thread polls the clock [s].
     looked: float  #: Mean time of polling per sample [s].
 
 
@@ -509,7 +510,7 @@ class Reader:
         self._next = int(own.state[HEAD])
 
     def take(self, until: int | None = None) -> Samples:
-        """Return all samples since the last call, or only those before number ``until``; there may be none."""
+        """Return all samples since the last call, or only the samples before number ``until``; possibly none."""
         state, rows = self._own.state, self._own.rows
         size = len(rows)
         head = int(state[HEAD])

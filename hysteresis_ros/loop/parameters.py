@@ -142,12 +142,12 @@ def part(parameters: Parameters, cls):
     return kept[cls]
 
 
-#: Default limit of late voltages: fraction of the samples of a second, and the least number.
+#: Default limit of late voltages: ``LATE_PART`` of the samples in a second, but at least ``LEAST_LATE``.
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
 #: Largest fraction of a period for which a fused loop may poll the clock. Linux needs some time on each core: at
-#: fractions from about 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
+#: fractions of about 0.75 or more it interrupted the loop for 50 ms in each second (measured at 50 kHz).
 SPIN_PART = 0.6
 
 
@@ -747,7 +747,7 @@ TIMEOUTS = {
 
 
 def _device_trigger_problems(plant, name: str, source, controller):
-    """Yield a Problem unless the source has the triggers that the device outputs, and acts on its trigger input."""
+    """Yield a Problem if the triggers that the device outputs are missing, or if its trigger input has no effect."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
         remedy = f"differ from those of the {name}: remove them here; the values of the {name} are then used"
         yield Problem("plant_simulator: triggers", name, remedy)
@@ -778,7 +778,7 @@ def _fault_problems(plant, motor: bool):
 
 
 def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
-    """Return a controller's parameters; its commands may exceed the compensator's range by one stroke."""
+    """Return a controller's parameters; without a given range, commands may exceed the compensator's by one stroke."""
     if controller.command_minimum != controller.command_maximum:
         return controller
     amplifiers = () if plant.external_plant else (plant.limits,)
@@ -795,8 +795,8 @@ class AxisParameters:
     namespace: str  #: Namespace with a leading slash; empty for the root.
     #: plant_simulator, motion_controller, hysteresis_compensator, recorder: Typed parameters of each node.
     plant_simulator: PlantNodeParameters
-    #: reference_generator, inchworm_sequencer: One of the two: an axis with a section ``inchworm_sequencer`` has no
-    #: reference generator.
+    #: reference_generator, inchworm_sequencer: An axis has one of the two: with a section ``inchworm_sequencer`` it has
+    #: no reference generator.
     reference_generator: ReferenceNodeParameters | None
     motion_controller: ControllerNodeParameters
     hysteresis_compensator: CompensatorNodeParameters
@@ -833,7 +833,7 @@ class AxisParameters:
                 parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
             except ParameterError as error:
                 problems += error.problems
-        # options of a command can give sections in every namespace to the other nodes
+        # the sections of the other nodes may come from options of a command, which apply to every namespace
         described = any(configuration.describes(name, namespace) for name in (CONTROLLER, COMPENSATOR))
         there = configuration.namespaces()
         if problems and not described and namespace not in there:
@@ -1001,7 +1001,7 @@ def require_carried(axis: AxisParameters) -> None:
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis; in real time, if messages between its nodes are too slow for its rate, in fused mode."""
+    """Return the axis, in fused mode if it runs in real time at a rate too high for messages between its nodes."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
         return axis

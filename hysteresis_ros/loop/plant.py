@@ -13,11 +13,11 @@ A voltage that is not received in time is late: the last voltage is held, and th
 ``voltage_timeout`` without a voltage, the output goes to its safe value; when voltages arrive again, the output returns
 without a jump. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed:
 the plant *trips*. It goes to its safe voltage and stops the axis until the axis is started again. The plant also trips
-when an actuator's measurement is far beyond its static range, where only an unstable loop can move it.
+when an actuator's measurement is far beyond its static range: only an unstable loop can move the actuator there.
 
-A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in which it
-is made; between nodes, frames are messages. Both run in Python, because a sample with a frame takes a thousand times as
-long as any other sample.
+A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in which the
+frame is taken; between nodes, frames are messages. Both evaluations run in Python, because a sample with a frame takes
+a thousand times as long as any other sample.
 
 On a stage, all axes stop when the plant of one axis trips. :func:`hysteresis_ros.loop.stage.stage_ticks` applies this
 rule in the compiled loop, and :mod:`hysteresis_ros.nodes.stage` applies it between nodes.
@@ -123,8 +123,8 @@ TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a device that failed, which
-# only a start clears; a lost node of the axis.
+# Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a failed device (only a
+# start clears this reason); a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
 # A relative sensor is being homed: this reason ends by itself, and any other reason replaces it.
 FINDING_HOME = -1
@@ -244,7 +244,7 @@ def actuate_motor(laws, arrays, row):
 
     A safe state never opens a clamp, because a free slider would fall. A clamp goes to its initial voltage, or keeps
     its present voltage if this is higher. The gait always keeps one clamp closed; on the way back from the safe state,
-    a clamp opens only when the other one has the gait's voltage.
+    a clamp opens only when the other clamp has the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -294,7 +294,7 @@ tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no
 
 
 class Plant:
-    """Common part of the plants of an axis: the monitoring of their voltages."""
+    """Base class of the plants of an axis, with the monitoring of their voltages."""
 
     arrays: Any  #: All arrays of the plant in the loop; their class selects the kernel of :data:`sense`.
     kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
@@ -315,7 +315,7 @@ class Plant:
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] of the three inputs before any is received; 0 for inputs that an actuator lacks."""
+        """Voltages [V] of the three inputs before the first one is received; 0 for inputs that an actuator lacks."""
         return 0.0, 0.0, 0.0
 
     @property
@@ -363,7 +363,7 @@ class Plant:
     #: Whether the output slews from the safe voltage to the received one, beginning with the first sample.
     begins_safe = False
 
-    #: Whether its samples run in machine code.
+    #: Whether the samples of this plant run in machine code.
     is_compiled = True
 
     #: Whether a sample in machine code calls methods in Python.
@@ -382,7 +382,7 @@ class Plant:
 
     @property
     def overtravelled(self) -> bool:
-        """Whether a measurement has stopped the axis."""
+        """Whether a measurement out of range has stopped the axis."""
         return bool(self._watch_x.trip[TRIP] == BEYOND_TRAVEL)
 
     @property
@@ -438,7 +438,7 @@ class Plant:
         self.forgive()
 
     def recover(self) -> bool:
-        """Make a device safe before a start, in another thread than the loop; return whether it was not safe."""
+        """Make a device safe before a start, outside the loop's thread; return whether it was unsafe."""
         return False
 
     def lose(self, name: str) -> None:
@@ -519,7 +519,7 @@ class ActuatorPlant(Plant):
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] before any is received."""
+        """Voltages [V] before the first voltage is received."""
         return self.actuator.voltage, 0.0, 0.0
 
     @property
@@ -570,7 +570,7 @@ class MotorPlant(Plant):
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] before any is received."""
+        """Voltages [V] before the first voltage is received."""
         return self.motor.voltages
 
     @property
@@ -635,7 +635,7 @@ class Eye:
         self.frame: np.ndarray | None = None
 
     def look(self, displacement: float) -> float:
-        """Take a frame at a displacement [m] and return the displacement found [m]; NaN if a node evaluates it."""
+        """Take a frame at a displacement [m] and return the displacement found [m]; NaN: a node evaluates the frame."""
         self.frame = self.camera.take(displacement)
         return math.nan if self.part is None else self.part.tracker.see(self.frame)[0]
 

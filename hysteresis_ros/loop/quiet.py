@@ -12,9 +12,9 @@
 The loop first continues for ``quiet.average`` while the difference between its command and the reference is averaged,
 because a single command contains the noise of its sample. In a second interval of this length, the deviation of the
 command from this mean decays to zero, so that a resonance that the loop damps does not ring when the command stands
-still. The compensator still computes a voltage for each sample, so the voltage cancels the creep of the compensator's
-model. At the end the controller continues with the states that it had before: its reference moves from the mean of the
-last measurements to the received reference, and its command starts at the held command.
+still. The compensator still computes a voltage for each sample, so the voltage compensates the creep that its model
+predicts. At the end the controller continues with the states that it had before: its reference moves from the mean of
+the last measurements to the received reference, and its command starts at the held command.
 
 The drift of a quiet hold is the creep that the model does not compensate. It is assumed to be a fraction
 (``quiet.creep_uncertainty``) of the creep that the model predicts from its present state.
@@ -42,12 +42,12 @@ LONGEST = 1e5
 #: Number of instants at which a forecast is evaluated.
 INSTANTS = 2000
 
-# Own parameters of the controller's part, after those of :mod:`.controller`.
+# Own parameters of the controller's part, after the parameters of :mod:`.controller`.
 AVERAGED = 8  # number of samples whose commands are averaged; the command then fades to the mean in as many samples
 ON_PULSE = 9  # number of samples of the hold that a pulse of the trigger input begins; 0: a pulse begins no hold
 OWN_PARAMETERS = 10
 
-# Own state of the controller's part, after that of :mod:`.controller`.
+# Own state of the controller's part, after the state of :mod:`.controller`.
 AHEAD = 9  # samples until the command stands still
 LEFT = 10  # samples until the hold ends
 SUM = 11  # sum of command minus reference so far [m], over COUNT samples
@@ -138,7 +138,7 @@ def held_command(own_p, own, measured):
 
 @kernel
 def end_quiet(own):
-    """End a quiet hold because the axis becomes safe; the controller will restart."""
+    """End a quiet hold because the axis goes to its safe state; the controller will restart."""
     own[LEFT] = own[AHEAD] = own[CONTINUES] = 0.0
 
 
@@ -170,7 +170,7 @@ class Forecast:
         return np.abs((1.0 - self._decays ** samples[:, np.newaxis]) @ self._weights)
 
     def longest(self, tolerance: float) -> float:
-        """Return the time [s] for which the drift stays within a tolerance [m]; infinite if it never exceeds it."""
+        """Return the time [s] for which the drift stays within a tolerance [m]; infinite if it always does."""
         outside = np.flatnonzero(self.uncertainty * self._creep(self._samples) > tolerance)
         if not outside.size:
             return math.inf
@@ -232,7 +232,7 @@ class Quiet(NamedTuple):
 
 
 def parse_quiet(text: str) -> Quiet:
-    """Return the quiet hold that ``START:DURATION[:TOLERANCE]`` describes; each with or without a unit."""
+    """Return the quiet hold that ``START:DURATION[:TOLERANCE]`` describes; each number with or without a unit."""
     words = text.split(":")
     if len(words) not in (2, 3):
         raise ConfigurationError(f"quiet {text}: write START:DURATION[:TOLERANCE], such as 1s:500ms:5nm")

@@ -9,8 +9,7 @@
 
 """The axes of a configuration, and the check that their references stay within stroke and bandwidth.
 
-The range is computed from the models of compensator and controller, because the parameters of the plant are not known
-to the axis.
+The range is computed from the models of compensator and controller, because the parameters of a real plant are unknown.
 
 *Stroke*: the range of the compensator's hysteresis model within its limits, swept in both directions from rest without
 creep, times the DC gain of the controller's model. With inverse ``none`` the stroke is the nominal gain times the
@@ -26,8 +25,8 @@ are experiments and are not checked. The checks are:
   1/(6 d Ts) on, the error is larger than the amplitude. Only ``inverse_dynamics`` avoids this delay, by its preview.
 - The velocity of the waveform, divided by the mean gain of the model, must be within the slew rate of the voltage.
 
-The last check also warns of the other waveforms, and in open loop. A step has the time until the next one for its
-change.
+For the other waveforms, and in open loop, the last check gives warnings. The velocity of a step is its height divided
+by the time until the next step.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ TOLERANCE = 1e-4
 #: Tolerance of a fundamental's command beyond the stroke, as a fraction of the stroke, within which only the peaks of
 #: the waveform saturate.
 CUT_PEAKS = 0.1
-#: Fewest samples of a period that show both of its extremes.
+#: Smallest number of samples per period that resolves both extremes.
 FEWEST_SAMPLES = 4
 
 
@@ -229,7 +228,7 @@ def steep_warnings(axis: AxisParameters) -> tuple[str, ...]:
 
 
 def axes(configuration: Configuration, namespace: str | None = None) -> list[AxisParameters]:
-    """Return every axis of a configuration, or the one in ``namespace``."""
+    """Return every axis of a configuration, or only the axis in ``namespace``."""
     spaces = configuration.namespaces() if namespace is None else (namespace,)
     found = [AxisParameters.from_configuration(configuration, space) for space in spaces]
     for axis in found:
@@ -244,7 +243,7 @@ def axes(configuration: Configuration, namespace: str | None = None) -> list[Axi
 
 
 def single_axis(configuration: Configuration, namespace: str | None = None) -> AxisParameters:
-    """Return the only axis of a configuration, or the one in ``namespace``."""
+    """Return the only axis of a configuration, or the axis in ``namespace``."""
     found = axes(configuration, namespace)
     if len(found) > 1:
         names = ", ".join(axis.namespace for axis in found)

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Prediction of the time at which a move is ready: its displacement stays within a tolerance of the setpoint.
+"""Prediction of when a move is ready: from then on, its displacement stays within a tolerance of the setpoint.
 
-The closed loop is simulated ahead of the move with the models of controller and compensator as the plant, and once more
-for each way in which a plant usually deviates from its model: gain, width of the hysteresis loop, speed, creep. The
-displacement is assumed to be linear in these deviations. The deviations are estimated from the measurements of earlier
-moves (recursive least squares with forgetting), so a model that is wrong by some percent predicts well from the second
-move on. Many realisations of the noise at rest are added to the predicted displacement; the predicted time is the
-median over these realisations.
+The closed loop is simulated ahead of the move, with the models of controller and compensator as the plant. It is
+simulated once more for each usual deviation of a plant from its model: gain, width of the hysteresis loop, speed and
+creep. The displacement is assumed to be linear in these deviations. The deviations are estimated from the measurements
+of earlier moves (recursive least squares with forgetting), so a model that is wrong by some percent predicts well from
+the second move on. Many realisations of the noise at rest are added to the predicted displacement; the predicted time
+is the median over these realisations.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from hysteresis_ros.signals import SOURCE
 
 #: Expected relative deviation of a plant from its model, for which the loop is simulated.
 SIZE = 0.05
-#: Factors of gain, loop width, slowness and creep of each simulated plant; the first one is the model.
+#: Factors of gain, loop width, slowness and creep of each simulated plant; the first plant is the model.
 PLANTS = (
     (1.0, 1.0, 1.0, 1.0),
     (1.0 + SIZE, 1.0, 1.0, 1.0),
@@ -62,14 +62,15 @@ PLANTS = (
 ROUGHNESS = 0.3
 #: Weight of a move relative to the move after it.
 FORGETTING = 0.98
-#: Number of samples of a simulation of the noise at rest, and of the samples before them, in which the loop settles.
+#: Number of samples in a simulation of the noise at rest, and number of earlier samples in which the loop settles.
 REST, SETTLING = 8192, 2000
 #: Number of realisations of the noise.
 REALISATIONS = 32
 #: Largest number of samples per call of the simulation; it is small so that a predicting thread soon releases the
 #: interpreter.
 CHUNK = 2048
-#: First and largest horizon of a prediction, and the time before it during which the models follow the axis [samples].
+#: First and largest horizon of a prediction, and the time before a prediction during which the models follow the axis
+#: [samples].
 NEAR, AHEAD, BEHIND = 256, 20_000, 512
 
 
@@ -111,7 +112,7 @@ def model_of(
 
 
 def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float, creep: float) -> AxisParameters:
-    """Return the axis with a plant whose gain, loop width, times and creep are the model's times the given factors."""
+    """Return the axis with a plant whose gain, loop width, slowness and creep are these multiples of the model's."""
     plant = axis.plant_simulator
     deviation = Deviation(gain, opening, lambda count=None: np.ones(count or ()))
     changed = deviating(plant, deviation, slowness, creep)
@@ -119,9 +120,9 @@ def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float,
 
 
 def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
-    """Return the first sample from which errors [m], shape (N,), are within a tolerance [m] for a number of samples.
+    """Return the first sample from which errors [m], shape (N,), are within a tolerance [m] for ``dwell`` samples.
 
-    The result is infinite if the errors do not stay within the tolerance.
+    The result is infinite if the errors do not stay within the tolerance for that long.
     """
     outside = np.flatnonzero(~(np.abs(error) <= tolerance))
     begins = np.concatenate([[0], outside + 1])
@@ -131,7 +132,7 @@ def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
 
 @dataclass(frozen=True)
 class RestingLoop:
-    """The model of a loop at rest under sensor noise with a standard deviation of one metre.
+    """Response of a loop at rest to sensor noise, from the model, scaled to noise with a standard deviation of 1 m.
 
     Parameters
     ----------
@@ -192,7 +193,7 @@ class Predictor:
         setpoint : float
             Setpoint [m], or last point of the trajectory.
         after : int
-            Number of samples between the beginning of the last move and that of this one.
+            Number of samples between the beginnings of the last move and this move.
         tolerance : float
             Largest distance of the displacement from the setpoint [m].
         dwell : float
@@ -217,7 +218,7 @@ class Predictor:
 
     @property
     def expected(self) -> np.ndarray:
-        """Part of the displacement of the present move that has been computed, without noise [m], shape (N,)."""
+        """Displacement of the present move as far as it has been computed, without noise [m], shape (N,)."""
         return self._traces[0] + self.deviations @ self._slopes
 
     @property
@@ -283,7 +284,7 @@ def _resting(axis: AxisParameters) -> RestingLoop:
     for noise in (size, 0.0):
         loop = Axis(replace(axis, plant_simulator=replace(plant, sensor=SensorParameters(noise=noise, seed=1))))
         runs.append(loop.run(np.full(SETTLING + REST, 0.5 * (own.minimum + own.maximum))))
-    # the difference of both runs does not contain the end of the approach and of the creep
+    # the difference between the two runs contains neither the rest of the approach nor the creep
     noisy, clean = runs
     moved, seen = ((noisy[name] - clean[name])[SETTLING:] / size for name in ("displacement", "measured"))
     trace = moved - np.mean(moved)
@@ -305,6 +306,6 @@ def _copy(axis: Axis) -> list[np.ndarray]:
 
 
 def _restore(axis: Axis, state: list[np.ndarray]) -> None:
-    """Return the arrays of an axis to copied values."""
+    """Set the arrays of an axis to copied values."""
     for array, value in zip(_arrays(tuple(axis.parts)), state, strict=True):
         array[:] = value

@@ -44,9 +44,9 @@ def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
 
 @contextlib.contextmanager
 def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
-    """Yield the axis of a recording, and a line for each file on this disk that the axis does not use.
+    """Yield the axis of a recording, and a line for each file on this disk that differs from its recorded contents.
 
-    The recorded files exist until the context ends.
+    The axis uses copies of the recorded files, which exist until the context ends.
     """
     with _recorded_configuration(recorded, name) as (configuration, notes):
         yield single_axis(configuration, recorded.metadata.get("namespace")), notes
@@ -61,7 +61,7 @@ def recorded_stage(recorded: Recording, name: str) -> Iterator[tuple[StageParame
 
 @contextlib.contextmanager
 def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Configuration, list[str]]]:
-    """Yield the configuration of a recording with the recorded contents of its files, and lines about unused files."""
+    """Yield the configuration of a recording with the recorded contents of its files, and lines about changed files."""
     text = in_force(recorded)
     if not text:
         raise RecordingError(
@@ -88,7 +88,7 @@ def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Co
             if str(path) in contents:
                 content = contents[str(path)]
                 notes += filter(None, [note_on_disk(str(path), content)])
-                # readers recognise a table by its suffix
+                # the suffix determines how a table is read
                 copy = pathlib.Path(folder) / f"{index}{path.suffix.lower()[:8]}"
                 copy.write_bytes(content)
                 configuration = configuration.override(f"{one}/{node}".lstrip("/"), **{parameter: str(copy)})

@@ -9,10 +9,10 @@
 
 """Offline simulation and repetition of runs; plants that differ from their models, or drift; modes of the parts.
 
-Each draw multiplies these quantities by independent factors 1 + m u, with the mismatch m and u uniform in ±1: the gain,
-the loop width of the hysteresis (each model declares the parameters that determine it, and may declare more factors),
-the time scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's models do not
-change.
+A random plant multiplies these quantities by independent factors 1 + m u, with the mismatch m and u uniform in ±1: the
+gain, the loop width of the hysteresis (each model declares the parameters that determine it, and may declare more
+factors), the time scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's
+models do not change.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 def deviating(
     plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
 ) -> dict[str, Any]:
-    """Return the parameters of a deviating plant that differ from those of the given plant."""
+    """Return the parameters in which a deviating plant differs from the given plant, with their new values."""
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
     drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
@@ -170,7 +170,7 @@ def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str,
 
 
 def _padded(values, samples: int, rest: float) -> np.ndarray:
-    """Return the first values, followed by ``rest`` up to the number of samples."""
+    """Return the first ``samples`` values; if there are fewer, ``rest`` fills the end."""
     values = np.asarray(values, dtype=float)[:samples]
     return np.concatenate([values, np.full(samples - len(values), rest)])
 

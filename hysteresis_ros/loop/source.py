@@ -51,7 +51,7 @@ def refer(laws, part, row):
 
 @by_part
 def rest(laws, part, column):
-    """Hold the reference, beginning with this sample; ``column``, shape (row length, 1), contains its inputs."""
+    """Hold the reference, beginning with this sample; ``column``, shape (row length, 1), contains the inputs."""
 
 
 @by_part
@@ -64,12 +64,12 @@ class GeneratorSourceArrays(NamedTuple):
 
     p: GeneratorArrays
     x: GeneratorArrays
-    edges: np.ndarray  #: Of :meth:`.ScanClock.edges`; one 0 without a scan.
+    edges: np.ndarray  #: Result of :meth:`.ScanClock.edges`; a single 0 without a scan.
 
 
 @nested
 def generate(laws, arrays, row):
-    """Compute the reference of waveform and setpoint; it is constant while the plant has stopped the axis."""
+    """Compute the reference from waveform and setpoint; it is constant while the plant has stopped the axis."""
     x = arrays.x.range
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
@@ -82,7 +82,7 @@ def generate(laws, arrays, row):
             mode = STOPPED
     row[at.SETPOINT] = setpoint_in_force(arrays.x, row[at.SETPOINT])
     row[at.SOURCE_MODE] = mode
-    # not in a function of its own: one that takes all arrays of the generator cost some 30 ns more per sample
+    # not a separate function, because a call with all arrays of the generator took some 30 ns more per sample
     row[at.WAVEFORM_SAMPLE] = -1.0
     row[at.SCAN_EDGES] = 0.0
     row[at.TRIGGER] = row[at.TRIGGER_POSITION] = row[at.TRIGGER_DIRECTION] = row[at.TRIGGER_DELAY] = 0.0
@@ -147,7 +147,7 @@ class GeneratorSource:
         self._arm()
 
     def _arm(self) -> None:
-        """Make the triggers of the parameters; let a waveform that the trigger input starts wait for a pulse."""
+        """Create the triggers from the parameters; a waveform that the trigger input starts waits for a pulse."""
         own = self.parameters
         self.triggers = triggers_of(own)
         self._bound()
@@ -186,7 +186,7 @@ class GeneratorSource:
         return np.array([[0.0, self.parameters.initial_setpoint]])
 
     def setpoints(self, samples: int) -> np.ndarray:
-        """Return the setpoint [m] at each of the first ``samples`` samples of a run that receives none."""
+        """Return the setpoint [m] at each of the first ``samples`` samples of a run without received setpoints."""
         return np.full(samples, self.parameters.initial_setpoint)
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -213,7 +213,7 @@ class GeneratorSource:
         self.generator.start()
 
     def reset(self) -> None:
-        """Reset the waveform to its start, and the setpoint to the configured one."""
+        """Reset the waveform to its start, and the setpoint to the configured value."""
         running = self.generator.running
         self.generator.reset()
         if self.triggers is not None:
@@ -251,7 +251,7 @@ def triggers_of(parameters: ReferenceNodeParameters | InchwormSequencerNodeParam
 
 
 class SequencerArrays(NamedTuple):
-    """Parameter array, or state array, of a sequencer, with those of its faults."""
+    """Parameter arrays, or state arrays, of a sequencer and of its faults."""
 
     sequencer: np.ndarray
     faults: np.ndarray

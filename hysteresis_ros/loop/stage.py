@@ -92,7 +92,7 @@ def actuate_coupled(laws, arrays, row):
     p, x = arrays.p, arrays.x
     applied = limiting.limits(p.limits, x.limits, watched_voltage(arrays.watch_p, arrays.watch_x, row))
     crept = creep(p.creep, x.creep, laws.hysteresis(p.hysteresis, x.hysteresis, applied))
-    # these dynamics are only the delay of amplifier and converter: an actuator of a stage has no others
+    # these dynamics are only the delay of amplifier and converter: an actuator of a stage has no other dynamics
     arrays.drive[0] = linear(p.dynamics, x.dynamics, crept)
     row[at.PLANT_VOLTAGE] = applied
 
@@ -128,7 +128,7 @@ class CoupledPlant(ActuatorPlant):
 class GroupArrays(NamedTuple):
     """Arrays that the axes of a stage share."""
 
-    p: np.ndarray  #: Of the structure.
+    p: np.ndarray  #: Parameters of the structure.
     x: np.ndarray
     drive: np.ndarray  #: shape (n,); Inputs of the structure.
     shown: np.ndarray  #: shape (n,); Outputs of the structure [m].
@@ -137,8 +137,8 @@ class GroupArrays(NamedTuple):
     recoupling: np.ndarray  #: Inverse of the decoupling, of the same shape.
     commands: np.ndarray  #: shape (n,); Last finite command of each degree of freedom [m].
     asked: np.ndarray  #: shape (n,); Commands of the actuators [m].
-    scratch: np.ndarray  #: shape (2 n,).
-    weights: np.ndarray  #: shape (n, n, 2 N), or (0, 0, 0): of the feedforward of the stage.
+    scratch: np.ndarray  #: shape (2 n,); Work space.
+    weights: np.ndarray  #: shape (n, n, 2 N), or (0, 0, 0); Weights of the feedforward of the stage.
     references: np.ndarray  #: shape (n, 2 N); Rings of the last references [m].
     places: np.ndarray  #: shape (n,); Index of the oldest reference in each ring.
     known: np.ndarray  #: shape (n,); 0: the ring restarts with the next reference.
@@ -183,7 +183,7 @@ def to_actuators(group, rows):
 
 @nested
 def to_axes(group, rows):
-    """Transform achieved commands of actuators into degrees of freedom, and restore the axes' own commands."""
+    """Transform the actuators' achieved commands into achieved commands of the axes; restore the axes' own commands."""
     n = group.decoupling.shape[0]
     for i in range(n):
         missing = rows[i, at.APPLIED] - group.asked[i]
@@ -265,7 +265,7 @@ def confirm_axis(laws, parts, row):
 
 @kernel
 def report_reference(feedforward, own, row):
-    """Write an axis' newest reference and number of new references (-1: it follows no reference) into its row."""
+    """Write the newest reference and the number of new references (-1: the axis follows none) into an axis' row."""
     row[at.TRIPPED] = feedforward[feeding.NEWEST]
     row[at.CONTROLLER_MODE] = -1.0 if own[RETURNING] != 0.0 else feedforward[feeding.CALLS]
     feedforward[feeding.CALLS] = 0.0
@@ -283,7 +283,7 @@ def take_command(laws, parts, row):
     parts.controller.x.feedforward[feeding.GIVEN] = row[at.TRIPPED]
 
 
-#: Value of a controller's ``STOP`` while the measurement of another axis of its stage is stale; 1: a user stopped it.
+#: Value of a controller's ``STOP`` while the measurement of another axis of its stage is stale; 1: stopped by a user.
 WITH_STAGE = 2.0
 
 
@@ -469,8 +469,8 @@ class Stage:
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        The keys of all mappings are the names of the axes. ``pulses`` are those of the trigger inputs; ``answers`` are
-        the answers of an axis' device in the run that is repeated. ``skipped`` is 1 for a sample that all axes skip,
+        The keys of all mappings are the names of the axes. ``pulses`` are the pulses at the trigger inputs; ``answers``
+        are the answers of each axis' device in the repeated run. ``skipped`` is 1 for a sample that all axes skip,
         otherwise 0.
         """
         waiting = self._sorted(changes or {})

@@ -12,7 +12,7 @@
 Each axis is one degree of freedom with its actuator and its sensor; like an independent axis, it has its sections in
 its own namespace. The section ``stage`` describes the coupling: the structure between the actuators and the sensors,
 the matrix from the readings to the degrees of freedom, and the matrix from the commands of the degrees of freedom to
-those of the actuators.
+the commands of the actuators.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class StageFeedforwardParameters(Parameters):
 
     F_i is the inverse of the model of axis i alone, :mod:`hysteresis_ros.control.feedforward`, with N samples of
     preview. X is designed from the model of the stage (:mod:`hysteresis_ros.designs.stage_feedforward`), so that F + X
-    inverts it. X is a finite impulse response in both directions of time, because a bounded inverse of a stage with
-    zeros outside the unit circle must look ahead.
+    inverts that model. X is a finite impulse response in both directions of time, because a bounded inverse of a stage
+    with zeros outside the unit circle must look ahead.
 
     X looks one sample less ahead than F, because the references of all axes are exchanged after each sample, for the
     next one. So no controller waits for another controller within a sample, and the nodes, the fused loop and the
@@ -281,7 +281,7 @@ def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
 
 
 def _unfit_feedforward(axis: AxisParameters, stage: StageNodeParameters):
-    """Yield a Problem if the feedforward of an axis does not match that of its stage."""
+    """Yield a Problem if the feedforward of an axis does not match the feedforward of its stage."""
     own = axis.motion_controller.feedforward
     if stage.feedforward.weights and own.type == "none":
         allowed = "must be inverse_dynamics or static, because the stage has feedforward.weights"
@@ -306,9 +306,9 @@ class StageParameters:
         Raises
         ------
         ConfigurationError
-            The file describes no stage, or its axes are not those that the stage names.
+            The file describes no stage, or its axes differ from the axes that the stage names.
         ParameterError
-            A parameter is wrong, or parameters do not fit together; every problem is named with its section.
+            A parameter is wrong, or parameters do not fit together; the message names the section of every problem.
         """
         namespace = configuration.stage
         if namespace is None:
@@ -372,15 +372,15 @@ class StageParameters:
 
     @property
     def scanning_axes(self) -> tuple[str, ...]:
-        """Names of the axes that follow x, y and, of a tilted plane, z of the scan; empty without a scan."""
+        """Names of the axes that follow the scan's x, y and, if the plane is tilted, z; empty without a scan."""
         scan = self.scan
         return () if scan is None else (self.stage.scan.axes or self.names)[: scan.axes]
 
     def following(self, given: StageScanParameters) -> StageParameters:
         """Return the same stage with axes that follow a scan.
 
-        A scan that is invalid, or that the axes cannot follow, is refused; the range and the limits of the motion are
-        those of the axes' reference generators.
+        A scan that is invalid, or that the axes cannot follow, is refused; the reference generators of the axes
+        determine the range and the limits of the motion.
         """
         where = f"{self.namespace}/{STAGE}: scan"
         found = replace(self, stage=replace(self.stage, scan=given))
@@ -430,7 +430,7 @@ class StageParameters:
             control = f"{axis.namespace}/motion_controller"
             source = f"{axis.namespace}/reference_generator"
             for one in axis.generator.trigger_problems():
-                # the axes of a stage have the clock of its scan
+                # the axes of a stage use the clock of its scan
                 clock = one.name == "waveform.scan.clock"
                 label = f"{self.namespace}/{STAGE}: scan.clock" if clock else f"{source}: {one.name}"
                 if not clock or label not in (problem.name for problem in problems):
@@ -501,7 +501,7 @@ class StageParameters:
         return replace(self, stage=replace(self.stage, time_mode=mode), axes=axes)
 
     def in_time(self) -> StageParameters:
-        """Return the stage; in real time, if messages between its nodes are too slow for its rate, in fused mode."""
+        """Return the stage, in fused mode if it runs in real time at a rate too high for messages between its nodes."""
         fused = any(in_time(axis).plant_simulator.time_mode == "fused" for axis in self.axes)
         return self.with_time_mode("fused") if fused else self
 

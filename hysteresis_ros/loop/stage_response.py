@@ -43,7 +43,8 @@ GRID = np.geomspace(1e-5, 0.5, 2000)
 SMALLEST = 1e-7
 #: Smallest fraction of the amplitude that counts as followed.
 FOLLOWED = math.sqrt(0.5)
-#: Largest number of steps of the search for a frame rate within the range of the actuators, and the factor of a step.
+#: Largest number of steps of the search for a frame rate within the range of the actuators, and the factor of the frame
+#: rate in each step.
 STEPS, SLOWER = 60, 0.97
 
 
@@ -114,7 +115,7 @@ def stage_response(parameters: StageParameters, angles) -> np.ndarray:
 def damped_response(parameters: StageParameters, angles) -> np.ndarray:
     """Return the response from the outputs of the control laws, with the damping behind them, to displacements.
 
-    The response has shape (F, n, n); ``angles`` are in rad per sample. It is the plant that the feedforward inverts.
+    The response has shape (F, n, n); ``angles`` are in rad per sample. The feedforward inverts this response.
     """
     dampings = []
     for axis in parameters.axes:
@@ -151,9 +152,10 @@ def scanned_paths(parameters: StageParameters) -> np.ndarray:
 
 
 def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
-    """Return a sentence for each axis that cannot follow its path in the scan, without learning.
+    """Return a sentence for each axis without learning that cannot follow its path in the scan.
 
-    Such a path needs more than the bandwidth of the loop, or is followed with the delay of a feedforward's preview.
+    Such a path needs more than the bandwidth of the loop, or the axis follows it late, by the preview of its
+    feedforward.
     """
     scan = parameters.scan
     if scan is None:

@@ -47,9 +47,9 @@ def simulate_stage(
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
-    Axes without setpoints keep their configured setpoint. ``answers`` are the answers of each axis' device in the run
-    that is repeated; without them all plants are simulated, even those with a driver. The signals of the recording are
-    ``x/displacement`` …; :meth:`.Recording.axis` gives those of one axis.
+    Axes without setpoints keep their configured setpoint. ``answers`` are the answers of each axis' device in the
+    repeated run; without answers all plants are simulated, even those with a driver. The signals of the recording are
+    ``x/displacement`` …; :meth:`.Recording.axis` returns the signals of one axis.
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
@@ -127,8 +127,8 @@ def displacements_between(
 
     The run starts from rest, with the simulated stage of the recording or with ``stage``, another stage at rest.
     Between samples the structure is integrated under held inputs, so that at the samples the result equals the
-    recording. Without a continuous equivalent, the samples are joined by straight lines; for hysteresis inside the
-    structure, only the samples are known.
+    recording. If the model has no continuous equivalent, the samples are joined by straight lines; for hysteresis
+    inside the structure, only the samples are known.
     """
     names, step = parameters.names, 1.0 / parameters.sample_rate
     sampled = np.array([recording[f"{name}/displacement"] for name in names])
@@ -184,7 +184,7 @@ def chosen_stage(
 ) -> StageParameters:
     """Return the stage of a configuration, with faults in the axis that ``namespace`` names.
 
-    ``asked``: the axis has already got a reference or triggers, so it needs no faults.
+    ``asked``: the command gives this axis a reference or triggers, so ``namespace`` is allowed without faults.
     """
     parameters = StageParameters.from_configuration(configuration)
     check_scan(parameters)
@@ -202,7 +202,7 @@ def chosen_stage(
 
 @dataclass(frozen=True)
 class CouplingError:
-    """Error of an axis that holds its setpoint while another one scans."""
+    """Error of an axis that holds its setpoint while another axis scans."""
 
     scanning: str  #: Name of the axis that follows its waveform.
     held: str  #: Name of the axis that holds its setpoint.
@@ -229,7 +229,7 @@ def coupling_errors(parameters: StageParameters, duration: float | None = None) 
     if len(parameters.names) < 2 or not scanning:
         return found
     if duration is None:
-        # the length is that of all axes together, because the waveform of a single axis may be endless
+        # the length of a run of all axes, because the waveform of a single axis may be endless
         duration = Stage(parameters).default_samples() / parameters.sample_rate
     still = simulate_stage(parameters.scanning([]), duration=duration)
     for name in scanning:

@@ -57,7 +57,7 @@ class Parts(NamedTuple):
     compensator: CompensationArrays | AdaptiveArrays
 
 
-#: What :func:`ticks` computes of each sample: all steps, or only the measurement, the command, or the feedback of the
+#: Steps of each sample that :func:`ticks` computes: all, or only the measurement, the command, or the feedback of the
 #: achieved command to the controller.
 WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 

@@ -9,9 +9,9 @@
 
 """Monitoring of the inputs of a part: missing, late or wrong values; all times are counted in samples.
 
-A missing input is NaN: no value was received, or the value is unusable. :func:`accept` decides that for measurements
-and commands, :func:`hold_voltage` for the voltage of an amplifier. The reaction of a part is its *mode*.
-Late voltages and trips of the whole axis are in :mod:`.plant`.
+A missing input is NaN: no value was received, or the value is unusable. :func:`accept` decides this for measurements
+and commands, :func:`hold_voltage` for the voltage of an amplifier. The reaction of a part is its *mode*. Late voltages
+and trips of the whole axis are in :mod:`.plant`.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
     A value is rejected when it is not finite, when its sample number ``stamp`` is not greater than the number of the
-    last good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out the
-    next finite value is accepted, because there is no recent value for comparison.
+    last good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out neither
+    the sample number nor the distance is checked, because there is no recent value for comparison.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -145,9 +145,9 @@ def hold_voltage(p, x, voltage, stopped, least):
     """Return the output voltage [V] of a sample, given the voltage received in time (NaN: none).
 
     The output is the last received voltage. After the time-out, and while ``stopped`` is not 0, it slews to the safe
-    voltage by at most one step per sample. On the way back, its difference from the received voltage decreases by at
-    least one step per sample: the output may move by that step plus the motion of the received voltage, so it always
-    arrives. A target below ``least`` is replaced by ``least``.
+    voltage by at most one step per sample. On the way back, the output may move by this step plus the motion of the
+    received voltage in each sample. So the difference between the two decreases by at least one step per sample, and
+    the output always reaches the received voltage. A target below ``least`` is replaced by ``least``.
     """
     step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
