@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An open device and the guard around its driver; the rest of the package uses this class only."""
+"""An open device and the guard around its driver; the rest of the package uses only this class."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ class Device:
         Raises
         ------
         DriverError
-            The device cannot compare them, or does not answer.
+            The device cannot compare these positions, or does not answer.
         """
         with self._named("cannot compare the positions of its triggers"):
             self._driver.compare(up, down)
@@ -324,7 +324,7 @@ class Device:
         return wrong
 
 
-#: Time after which a method in Python that does not return ends a fused run [s]; drivers have time-outs of their own.
+#: A fused run ends when a method in Python has not returned after this time [s]; drivers have time-outs of their own.
 METHOD_PATIENCE = 5.0
 
 _NUMBERS = ctypes.POINTER(ctypes.c_double)

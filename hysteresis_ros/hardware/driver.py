@@ -60,7 +60,7 @@ class Capabilities:
     joints : int
         Number of positions that the device reads.
     voltages : int
-        Number of voltages that it outputs; an axis uses the first ones.
+        Number of voltages that the device outputs; an axis uses the first of them.
     minimum, maximum : float
         Range of the device's output [voltage_unit].
     highest_rate : float
@@ -78,14 +78,14 @@ class Capabilities:
         Number of forces [N] that the device reads in addition to the positions; for an axis 1 (the force in the stack)
         or 0.
     clock : bool
-        Whether it outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
+        Whether the device outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
     trigger_rate : float
-        Highest rate of triggers that it outputs [Hz]; 0: it has no output for triggers.
+        Highest rate of triggers that the device outputs [Hz]; 0: the device has no output for triggers.
     compares : bool
         Whether the device outputs triggers by comparing positions itself (:meth:`Driver.compare`); otherwise the loop
         requests each trigger (:meth:`Driver.output_trigger`).
     trigger_input : bool
-        Whether it has a trigger input (:meth:`Driver.pulses`).
+        Whether the device has a trigger input (:meth:`Driver.pulses`).
     """
 
     joints: int
@@ -124,7 +124,7 @@ class Compiled(NamedTuple):
     trigger: int = 0
     #: ``int32_t pulses(void *device, int64_t *count)``: 0 or an error code; 0: no trigger input.
     pulses: int = 0
-    #: Time after which a function that does not return ends the run [s].
+    #: The run ends when a function has not returned after this time [s].
     patience: float = 0.5
     #: Whether the functions call methods in Python, so that they have to wait for the interpreter lock.
     calls_python: bool = False
@@ -133,7 +133,7 @@ class Compiled(NamedTuple):
 #: Remedy for a device without triggers.
 NO_TRIGGERS = "set trigger_output: false; the topic trigger_out has the triggers"
 
-#: Result of reading: this sample has no measurement, without an error.
+#: Result of reading a sample without a measurement; this is not an error.
 NOTHING_NEW = -1
 
 
@@ -161,7 +161,7 @@ class Driver(ABC):
         parameters : Parameters
             Instance of the declared class.
         sample_rate : float
-            Rate at which it will be read and written [Hz].
+            Rate at which the device will be read and written [Hz].
 
         Raises
         ------
@@ -197,10 +197,10 @@ class Driver(ABC):
     def output_clock(self, edges: Edge) -> None:
         """Output the scan edges (frames, lines, pixels) of this sample, e.g. as pulses of three lines; optional.
 
-        It is called after :meth:`write` of the same sample, and only for a device with ``clock`` in its capabilities
-        and with ``scan_clock`` in the parameters of the plant's node. In nodes that exchange messages it is called when
-        the message on ``scan_clock`` arrives. It is also called in samples that are skipped, in which no voltage is
-        written.
+        This method is called after :meth:`write` of the same sample, and only for a device with ``clock`` in its
+        capabilities and with ``scan_clock`` in the parameters of the plant's node. In nodes that exchange messages it
+        is called when the message on ``scan_clock`` arrives. It is also called in skipped samples, although no voltage
+        is written in them.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class Driver(ABC):
         Raises
         ------
         DriverError
-            The device does not answer; by default: it has no such outputs.
+            The device does not answer, or (by default) has no such outputs.
         """
         remedy = "set scan_clock: false; the topic scan_clock has the clock"
         raise DriverError(type(self).__name__, "has no outputs for the clock of a scan", remedy)
@@ -218,7 +218,7 @@ class Driver(ABC):
     def output_trigger(self, number: int, delay: float) -> None:
         """Output a trigger, for instance a pulse of a digital line; optional.
 
-        It is called after :meth:`write` of the sample that follows the trigger, and only for a device with
+        This method is called after :meth:`write` of the sample that follows the trigger, and only for a device with
         ``trigger_rate`` in its capabilities and with ``trigger_output`` in the parameters of the plant's node. In nodes
         that exchange messages it is called when the message on ``trigger_out`` arrives.
 
@@ -232,7 +232,7 @@ class Driver(ABC):
         Raises
         ------
         DriverError
-            The device does not answer; by default: it has no such output.
+            The device does not answer, or (by default) has no such output.
         """
         raise DriverError(type(self).__name__, "has no output for triggers", NO_TRIGGERS)
 
@@ -251,20 +251,20 @@ class Driver(ABC):
         Raises
         ------
         DriverError
-            The device cannot compare these positions; by default: none.
+            The device cannot compare these positions, or (by default) any positions.
         """
         raise DriverError(type(self).__name__, "does not compare positions", NO_TRIGGERS)
 
     def pulses(self) -> int:
         """Return the number of pulses at the trigger input since the last call; optional.
 
-        It is called after :meth:`read`, only for a device with ``trigger_input`` in its capabilities and with
+        This method is called after :meth:`read`, only for a device with ``trigger_input`` in its capabilities and with
         ``trigger_input`` in the parameters of the plant's node.
 
         Raises
         ------
         DriverError
-            The device does not answer; by default: it has no such input.
+            The device does not answer, or (by default) has no such input.
         """
         remedy = "set trigger_input: false; the topic trigger_in takes messages"
         raise DriverError(type(self).__name__, "has no trigger input", remedy)
@@ -272,8 +272,8 @@ class Driver(ABC):
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code accesses the open device; None: it has only Python methods.
 
-        The functions stay valid until :meth:`close`. Without them the fused loop calls the methods, and waits for
-        Python's interpreter lock in each sample.
+        The functions stay valid until :meth:`close`. Without these functions the fused loop calls the methods, and
+        waits for Python's interpreter lock in each sample.
         """
         return None
 
@@ -329,8 +329,8 @@ class HardwareDriver:
         Class of the driver; its constructor has no arguments.
     emulator : callable, optional
         ``emulator()`` returns a context manager that emulates the device and gives the parameters with which to open
-        it. It is needed by the contract test, and by tests of the driver without the device. Only a library given by
-        its path has no emulator. :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is
+        it. The contract test needs the emulator, and so do tests of the driver without the device. Only a library given
+        by its path has no emulator. :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is
         called.
     device : EmulatedDevice or str, optional
         The emulated device that runs as a separate process, or the dotted path ``package.module:DEVICE`` of its

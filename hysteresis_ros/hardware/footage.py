@@ -25,7 +25,7 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Smallest ratio of a motion to the uncertainty of a position, and smallest number of positions, for a scale.
+#: Requirements for a scale: least ratio of motion to uncertainty of a position, and least number of positions.
 CLEAR, LEAST_PLACES = 20.0, 3
 #: Least distance between two edges of a target [px].
 APART = 12
@@ -40,9 +40,9 @@ class Scale(NamedTuple):
     uncertainty: float
     #: Direction of a motion: 1, or -1 if the position decreases with increasing displacement.
     sign: int = 1
-    #: Displacement at position 0, for a motion [m].
+    #: Displacement at position 0, if the scale comes from a motion [m].
     offset: float = math.nan
-    #: RMS residual of the line, for a motion [m].
+    #: RMS residual of the line, if the scale comes from a motion [m].
     residual: float = math.nan
 
 
@@ -80,7 +80,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     """Return the scale of a frame that shows two parallel edges of a known distance ``size`` [m].
 
     The edges cross the rows of ``grey``, grey levels of 0 to 255. ``smallest_contrast`` and ``largest_blur`` are as in
-    :func:`hysteresis_ros.hardware.tracker.find_edge`. FrameError: there are no two edges.
+    :func:`hysteresis_ros.hardware.tracker.find_edge`. FrameError: the frame does not show two edges.
     """
     strongest = find_edge(grey, smallest_contrast, largest_blur)
     if strongest.refusal:
@@ -113,7 +113,7 @@ def opencv() -> Any:
     Raises
     ------
     FrameError
-        It is not installed.
+        OpenCV is not installed.
     """
     # OpenCV's own limit is a gigapixel; OpenCV reads this variable only once
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))

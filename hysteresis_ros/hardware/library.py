@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted places.
+"""Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted folders.
 
 The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
 must belong to root, to the user of this process, or to the owner of this package (that user can change the package
@@ -50,7 +50,7 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
     """Return the real path of an existing file, if no other user can change it.
 
     DriverError: other users can change the file or a folder on its path, or it is outside the folders of
-    ``HYSTERESIS_DRIVERS``; the message names the place, the user, and the remedy.
+    ``HYSTERESIS_DRIVERS``; the message names the file or folder, the user, and the remedy.
     """
     name = f"driver {path}"
     real = path.resolve()
@@ -87,7 +87,7 @@ def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
-    """Return which other user can change a file, a folder or a link, and the remedy; empty texts if none can."""
+    """Return which other user can change a file, a folder or a link, and the remedy; empty texts: no other user."""
     found = place.lstat()
     if found.st_uid not in trusted:
         whose = f"{place} belongs to {_user(found.st_uid)}"
@@ -161,7 +161,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     Raises
     ------
     DriverError
-        There is no such library, another user could replace it, or functions are missing; the message names these
+        There is no such library, another user could replace it, or functions are missing; the message names the missing
         functions.
     """
     path = pathlib.Path(path).expanduser()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registry of drivers: in the folder ``drivers``, from other packages (entry points), or given by a path."""
+"""Registry of the drivers in the folder ``drivers``, in other packages (entry points), or at a given path."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters
 
 
 def _value_of(row: ParameterRow | None, text: str):
-    """Return the value of a text, in the type of its row."""
+    """Return the value of a text, in the type that the parameter's row declares."""
     if row is None or row.type is str:
         return text
     if row.type is bool:

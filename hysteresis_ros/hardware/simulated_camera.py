@@ -106,7 +106,7 @@ class Scene:
         return grain
 
     def _body(self, pixels: float) -> np.ndarray | float:
-        """Return the body's grey level after a motion in pixels, shape (height, width); a number without grain."""
+        """Return the body's grey level after a motion in pixels, shape (height, width); a number if it has no grain."""
         given = self.parameters
         if self._grain is None:
             return given.bright
@@ -190,12 +190,12 @@ class SimulatedCamera:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again with the first frame."""
+        """Restart with the first frame."""
         self._number = 0
         self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
 
     def take(self, displacement: float) -> np.ndarray:
-        """Take a frame of the tip and return the frame that arrives now; at the beginning this is the first frame.
+        """Take a frame of the tip and return the frame that arrives now; at first it shows the first displacement.
 
         Parameters
         ----------

@@ -74,7 +74,7 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     step : int
         Bytes from one row to the next.
     big_endian : bool
-        Whether the more significant one of two bytes comes first.
+        Whether the more significant byte comes first.
 
     Returns
     -------
@@ -140,7 +140,7 @@ class Place(NamedTuple):
     contrast: float
     #: Standard deviation of the blur [px]; NaN if it is not known.
     blur: float
-    #: Why the position was not found; empty if it was.
+    #: Why the position was not found; empty if it was found.
     refusal: str = ""
     #: Slope of an edge: columns per row.
     slope: float = math.nan
@@ -268,7 +268,7 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
     return 0.5 * (places[1] - places[0])
 
 
-#: Highest fitted frequency, and frequencies that measure the sharpness of a frame [1/px].
+#: Highest fitted frequency, and frequency above which the details measure the sharpness of a frame [1/px].
 HIGHEST, FINE = 0.2, 0.08
 #: Largest remainder after the shift by whole pixels [px], and maximum number of searches for that shift.
 REST, PATTERN_LOOKS = 0.6, 6
@@ -315,7 +315,7 @@ class Pattern:
         return bool(np.sum(np.abs(self._spectrum[self._low][self._fine])) > 0.0)
 
     def find(self, grey: np.ndarray) -> Place:
-        """Return the movement of a frame along its rows since the first one.
+        """Return the movement of a frame along its rows since the first frame.
 
         Parameters
         ----------
@@ -476,7 +476,7 @@ class Tracker:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again with the next frame."""
+        """Restart with the next frame."""
         self.calibration.reset()
         self._shape: tuple[int, int] | None = None
         self._last: np.ndarray | None = None
@@ -493,7 +493,7 @@ class Tracker:
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:
-        """Return the displacement [m] (NaN: the frame is refused), and the position in the frame that gives it.
+        """Return the displacement [m] (NaN: the frame is refused), and the corresponding position in the frame.
 
         Parameters
         ----------

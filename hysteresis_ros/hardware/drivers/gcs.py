@@ -97,8 +97,8 @@ SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004,
 TOLERANCE, SETTLING = 0x07000900, 0x07000901
 
 #: Parameters of a trigger output (CTO): distance of the positions, axis, mode, first and last position; and the mode
-#: that triggers at equally spaced positions. If the first position is below the last, it triggers in upward motion,
-#: otherwise in downward motion.
+#: that triggers at equally spaced positions. If the first position is below the last, the output triggers in upward
+#: motion, otherwise in downward motion.
 TRIGGER_STEP, TRIGGER_AXIS, TRIGGER_MODE, START_THRESHOLD, STOP_THRESHOLD = 1, 2, 3, 8, 9
 POSITION_DISTANCE = 0
 
@@ -252,7 +252,7 @@ class GcsLink:
         return lines
 
     def ask_single(self, character: str) -> str:
-        """Return the answer to a command of one character; DriverError without an answer."""
+        """Return the answer to a command of one character; DriverError: there is no answer."""
         name = f"#{ord(character)}"
         self._put(character, name)
         return self._line(name).decode("latin-1").rstrip()
@@ -262,7 +262,7 @@ class GcsLink:
         return self._asked(question, item)[0]
 
     def value(self, question: str, item: str) -> str:
-        """Return the value of an item; raise DriverError when the query is refused or the answer does not match it."""
+        """Return the value of an item; raise DriverError when the query is refused or the answer is of another item."""
         text, code = self._asked(question, item)
         if text is None:
             problem = f"does not answer '{question} {item}': {meaning(code)}"
@@ -309,7 +309,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            There is no answer, or it does not match its query.
+            There is no answer, or an answer does not match its query.
         """
         several = len(questions) > 1
         before, behind = several or self._leads, several or not self._leads
@@ -902,7 +902,7 @@ class GcsDriver(Driver):
         self._require_there(link, "SVA?", safe)
 
     def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
-        """Check that the controller reports the safe value, even if it has accepted the command."""
+        """Check that the controller reports the safe value, because an accepted command is not sufficient."""
         value = self._value(safe)
         given = link.number(question, self._given.axis)
         if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):

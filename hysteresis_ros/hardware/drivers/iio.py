@@ -133,7 +133,7 @@ class Channel:
     def attribute(self, name: str) -> str | None:
         """Return an attribute of the channel, or of all channels of its direction and kind; None if it does not exist.
 
-        Only the first line is read, because in an ordinary file the end of an older, longer content may follow it.
+        Only the first line is read, because an ordinary file may still contain the end of an older, longer text.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It cannot be read.
+            The voltage cannot be read.
         """
         raw = self.number("raw")
         if raw is None:
@@ -200,7 +200,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It cannot be written.
+            The voltage cannot be written.
         """
         self.write(self.raw, round(voltage / self.volts - self.offset))
 
@@ -215,7 +215,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It cannot be written.
+            The attribute cannot be written.
         """
         write_number(path, value, self.name)
 
@@ -225,7 +225,7 @@ class Channel:
         Parameters
         ----------
         given : tuple of float
-            Least and greatest raw number, for a device without this attribute.
+            Least and greatest raw number, for a device that does not report its range.
 
         Raises
         ------
@@ -351,7 +351,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be fired.
+            The trigger cannot be fired.
         """
         if self._trigger is None:
             super().output_trigger(number, delay)
@@ -384,7 +384,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be read.
+            The ADC cannot be read.
         """
         self._taken()
         try:
@@ -404,7 +404,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be written.
+            The DAC cannot be written.
         """
         self._taken().put_out(voltages[0])
 
@@ -414,7 +414,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be written.
+            The DAC cannot be written.
         """
         if self._output is None:
             self._taken()
