@@ -240,7 +240,7 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
 
 
 def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """Return a line through positions over rows: value at row 0, slope, scatter, and the rows used."""
+    """Return a line through positions versus rows: value at row 0, slope, scatter, and the rows used."""
     kept = np.ones(len(rows), dtype=bool)
     slope = place = scatter = 0.0
     for _ in range(EDGE_LOOKS):

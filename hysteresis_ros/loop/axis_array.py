@@ -213,7 +213,7 @@ class AxisArray:
             table[number, filled] = values
 
     def _require_same_structure(self, number: int, first: Axis, axis: Axis, shapes: list[tuple[int, ...]]) -> None:
-        """Refuse an axis whose structure differs from that of axis 0."""
+        """Refuse an axis whose structure differs from the structure of axis 0."""
         found = [(path.partition(".")[0], array) for path, array in _leaves(axis.parts)]
         strange = {part for (part, array), shape in zip(found, shapes, strict=False) if array.shape != shape}
         strange |= {part for part, some in OF_PART.items() if axis.laws[some] != first.laws[some]}

@@ -224,7 +224,7 @@ def fail_device(arrays, failed, code):
 
 @nested
 def output_of_device(arrays):
-    """Return the output voltage [V], which is not the safe one if the device could not be made safe."""
+    """Return the output voltage [V], which is not the safe voltage if the device could not be made safe."""
     left = arrays.watch_x.trip[TRIP] == DEVICE_FAILED and arrays.answer[SAFE_CODE] != 0
     return arrays.left[0] if left else arrays.limits_x[OUTPUT]
 
@@ -538,7 +538,7 @@ class DrivenPlant(Plant):
 
     @property
     def _output(self) -> float:
-        """Output voltage [V], which is not the safe one if the device could not be made safe."""
+        """Output voltage [V], which is not the safe voltage if the device could not be made safe."""
         return self._left_at if self._left else float(self.limits.x[OUTPUT])
 
     def output_clock(self, edges: at.Edge) -> None:

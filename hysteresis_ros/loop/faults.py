@@ -94,8 +94,8 @@ class Fault:
     duration : float
         Duration [s], more than 0.
     value : float, optional
-        Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], others a fraction); the
-        default depends on the kind of fault. Some kinds have no value.
+        Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], for other faults a fraction);
+        the default depends on the kind of fault. Some kinds have no value.
 
     Raises
     ------

@@ -416,7 +416,7 @@ class FusedLoop:
     ) -> None:
         """Request a setpoint [m], a motor's request or speed for the next sample; None: no change.
 
-        Of several requests in one sample the last one counts.
+        Of several requests in one sample, the last is used.
         """
         if not self.axis.kind.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor accepts them")
@@ -506,7 +506,7 @@ class FusedLoop:
         try:
             part.retune(parameters)
         except Exception:
-            # the copy already has the change, so it must be made equal to the axis again
+            # the copy already contains the failed change, so its previous parameters are restored
             with contextlib.suppress(ParameterError):
                 self._double.axes[place].by_node[node].retune(part.parameters)
             raise

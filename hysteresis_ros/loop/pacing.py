@@ -149,7 +149,7 @@ SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(
 # UNPACED: 1 runs the loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of the last
 # requested pause. RESUMED: number of the last pause that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
-# PAUSED: number of the last pause that has begun. AT_WORK: start of the sample in progress [ns], 0: none.
+# PAUSED: number of the last pause that has begun. AT_WORK: start of the sample in progress [ns], 0: no sample.
 PAUSED, AT_WORK = 18, 19
 # AHEAD: time before a deadline at which the thread begins to poll the clock [ns]. MOST_AHEAD: upper bound of this time
 # while it follows the wake-up times [ns], 0: it is fixed. WAKE: estimated quantile of the wake-up times [ns].

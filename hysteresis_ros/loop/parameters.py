@@ -888,7 +888,7 @@ class AxisParameters:
         return cls(namespace=namespace, **found)
 
     def with_duration(self, duration: float) -> AxisParameters:
-        """Return the same axis with a run of ``duration`` seconds of its own time."""
+        """Return the same axis with a run of ``duration`` seconds in the time of the axis."""
         if not 0.0 < duration < float("inf"):
             raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:

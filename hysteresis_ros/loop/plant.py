@@ -168,7 +168,7 @@ def plant_mode(p, x, trip, late):
 
 @kernel
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
-    """Return the output voltage [V] for the received voltage (NaN: none), after all monitoring.
+    """Return the output voltage [V] for the received voltage (NaN: no voltage), after all monitoring.
 
     All of this is one function, because a node calls it from Python.
     """
@@ -360,7 +360,7 @@ class Plant:
     #: Rounding [V] of the output that the plant reports before each sample; infinite: no output is reported.
     rounding = math.inf
 
-    #: Whether the output slews from the safe voltage to the received one, beginning with the first sample.
+    #: Whether the output slews from the safe to the received voltage, beginning with the first sample.
     begins_safe = False
 
     #: Whether the samples of this plant run in machine code.

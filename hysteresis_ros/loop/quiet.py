@@ -127,7 +127,7 @@ def quietened(own_p, own, reference, command):
 
 @kernel
 def held_command(own_p, own, measured):
-    """Return the command [m] of a sample of the quiet hold, given the measurement [m] of the sample (NaN: none)."""
+    """Return the command [m] of a sample of the quiet hold, given the measurement [m] of the sample (NaN: missing)."""
     own[LEFT] -= 1.0
     if measured == measured:
         own[SEEN_COUNT] = min(own[SEEN_COUNT] + 1.0, own_p[AVERAGED])

@@ -220,7 +220,7 @@ def feed_across(group, rows):
             group.known[j] = 0.0
         elif rows[j, at.CONTROLLER_MODE] > 0.0:
             if group.known[j] == 0.0:
-                # the reference counts as if it had always been constant
+                # all earlier references are assumed to equal this reference
                 group.known[j] = 1.0
                 group.references[j, :] = rows[j, at.TRIPPED]
             group.references[j, place] = rows[j, at.TRIPPED]

@@ -59,8 +59,8 @@ class StageFeedforwardParameters(Parameters):
     X looks one sample less ahead than F, because the references of all axes are exchanged after each sample, for the
     next one. So no controller waits for another controller within a sample, and the nodes, the fused loop and the
     offline twin compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing;
-    when it returns, its references count as if they had always been constant. The weights of X add up to 0, so X adds
-    nothing at rest; the matrix ``decoupling`` decouples at rest.
+    when it follows again, its earlier references are assumed to equal the first new reference. The weights of X add up
+    to 0, so X adds nothing at rest; the matrix ``decoupling`` decouples at rest.
     """
 
     preview: int = parameter(

@@ -142,7 +142,7 @@ FOLLOWS = 4  # 1 while the output equals the received voltage
 
 @called
 def hold_voltage(p, x, voltage, stopped, least):
-    """Return the output voltage [V] of a sample, given the voltage received in time (NaN: none).
+    """Return the output voltage [V] of a sample, given the voltage received in time (NaN: no voltage).
 
     The output is the last received voltage. After the time-out, and while ``stopped`` is not 0, it slews to the safe
     voltage by at most one step per sample. On the way back, the output may move by this step plus the motion of the
