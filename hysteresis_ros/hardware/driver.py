@@ -70,7 +70,7 @@ class Capabilities:
         no watchdog.
     keeps_time : bool
         Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package has no loop that
-        follows a device, so it refuses such a device.
+        follows a device, so the package refuses such a device.
     position_unit, voltage_unit : str
         Units of the readings and of the output. Units other than ``m`` and ``V`` are converted by the parameters
         ``calibration`` of the plant's node, and these parameters must name the units.

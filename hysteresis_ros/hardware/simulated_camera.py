@@ -155,7 +155,7 @@ class Scene:
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
-        """Return the integral of a blurred edge up to a distance from it [px]."""
+        """Return the integral of a blurred edge up to a distance from the edge [px]."""
         # imported at first use, because every node imports the parameters but only rendering needs it
         from scipy.special import erf
 

@@ -138,7 +138,7 @@ class Place(NamedTuple):
     #: Contrast of the edge in grey levels (at most 255); for a pattern its correlation with the first frame (at most
     #: 1).
     contrast: float
-    #: Standard deviation of the blur [px]; NaN if it is not known.
+    #: Standard deviation of the blur [px]; NaN if unknown.
     blur: float
     #: Why the position was not found; empty if it was found.
     refusal: str = ""

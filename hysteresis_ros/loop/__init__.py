@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One sample of an axis, compiled, and the offline twin that runs it.
+"""The compiled sample of an axis, and the offline twin that runs it.
 
 Start with :mod:`.parameters`, then :mod:`.tick`. An axis has four parts: source, plant, controller and compensator;
 each is a module of that name. :mod:`.watch` defines how a part reacts to missing input, and :mod:`.faults` defines

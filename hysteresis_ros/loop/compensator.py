@@ -327,7 +327,7 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Go to the safe voltage [V] immediately and return it; it is the last message of an exiting node."""
+        """Go to the safe voltage [V] immediately and return it for the last message of an exiting node."""
         limits = self.arrays.p.limits
         # the last message must contain the safe voltage, whatever the slew rate limit
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0

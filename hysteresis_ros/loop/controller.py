@@ -99,7 +99,7 @@ class ControllerArrays(NamedTuple):
 
 
 #: After this number of samples without a report of the achieved command, the controller assumes that no node reports
-#: it.
+#: achieved commands.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.
@@ -355,7 +355,7 @@ class ControllerPart:
         own[NEEDS_FORCE] = parameters.damping.source == BY_FORCE
         rate, given = parameters.sample_rate, parameters.quiet
         own[quieting.AVERAGED] = max(samples_of(given.average, rate), 2.0)
-        # separate nodes receive a pulse as a message, and the change log contains it
+        # a separate node receives a pulse as a message, begins the hold itself, and logs the hold as a change
         pulsed = parameters.time_mode == "fused" and given.on_trigger > 0.0
         own[quieting.ON_PULSE] = samples_of(given.on_trigger, rate) if pulsed else 0.0
 

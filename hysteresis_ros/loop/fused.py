@@ -536,7 +536,7 @@ class FusedLoop:
             )
 
     def _rehearse(self, place: int, change: Change | None) -> Parameters | None:
-        """Apply a change to a copy of the axis and run it, so that errors and compilation occur here, not in the loop.
+        """Apply a change to a copy of the axis and run the copy: errors and compilation then occur outside the loop.
 
         Returns the new, checked parameters of the part.
         """

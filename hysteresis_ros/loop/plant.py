@@ -170,7 +170,7 @@ def plant_mode(p, x, trip, late):
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
     """Return the output voltage [V] for the received voltage (NaN: no voltage), after all monitoring.
 
-    All of this is one function, because a node calls it from Python.
+    All of this is one function, so that a node needs only one call from Python.
     """
     late = is_missing(hold_x, voltage)
     watch(trip_p, trip_x, late, measured)
@@ -297,7 +297,7 @@ class Plant:
     """Base class of the plants of an axis, with the monitoring of their voltages."""
 
     arrays: Any  #: All arrays of the plant in the loop; their class selects the kernel of :data:`sense`.
-    kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
+    kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of the actuators; a missing one is a placeholder.
     kind = at.ACTUATOR  #: Kind of the axis.
     joint_numbers = 0  #: Number of values of ``joint_states`` that are not in the row.
 
@@ -345,7 +345,7 @@ class Plant:
         own = self.parameters.joint
         return (own, self.parameters.force_joint) if self.measures_force else (own,)
 
-    #: Error with which a device has stopped the axis, and error of the last reading of its sensor.
+    #: Error with which a device has stopped the axis, and error of the last reading of the sensor.
     failure = complaint = ""
 
     #: The node whose loss has stopped the axis.
@@ -369,7 +369,7 @@ class Plant:
     #: Whether a sample in machine code calls methods in Python.
     calls_python = False
 
-    #: Duration of a sample after which its device counts as blocked [s].
+    #: Duration of a sample after which the device counts as blocked [s].
     patience = 0.5
 
     #: Indices in the row of additional inputs of a run with this plant.

@@ -469,7 +469,8 @@ class StageParameters:
     def travel(self) -> np.ndarray:
         """Return the allowed range of the measurement [m] of each axis, shape (n, 2).
 
-        It contains all positions at which the stage can rest, for any voltages of the other axes, plus ``overtravel``.
+        The range contains all positions at which the stage can rest, for any voltages of the other axes, plus
+        ``overtravel``.
         """
         gain = self.stage.large_gain()
         ends = np.array(

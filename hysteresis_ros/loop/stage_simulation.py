@@ -191,7 +191,7 @@ def chosen_stage(
     if faults and namespace is None:
         raise ConfigurationError(f"a fault of a stage needs the name of its axis, one of {', '.join(parameters.names)}")
     if namespace is not None:
-        parameters.place(namespace)  # refuses an unknown axis, which would lose its reference or triggers
+        parameters.place(namespace)  # refuses an unknown axis, whose reference or triggers would be lost
     if namespace is not None and not faults and not asked:
         raise ConfigurationError(
             f"the axes of a stage ({', '.join(parameters.names)}) run together: --namespace only selects the "

@@ -67,7 +67,7 @@ BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
 
 @nested
 def tick(laws, parts, row, what):
-    """Compute one sample in its row, or one step of it; all states are updated in place."""
+    """Compute one sample in its row, or one step of the sample; all states are updated in place."""
     if what in (WHOLE, MEASURE):
         sense(laws, parts.plant, row)
     if what in (WHOLE, ANSWER):

@@ -7,4 +7,4 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The drivers: each module here declares one as ``DRIVER``, and the registry finds it."""
+"""The drivers: each module here declares a driver as ``DRIVER``, and the registry finds it."""

@@ -401,7 +401,7 @@ class GcsLink:
         self.require(self.error(), f"refuses {commands[-1][:40]!r}")
 
     def stop(self) -> None:
-        """Stop all motion and clear the error that the controller reports for it.
+        """Stop all motion and clear the error that the controller reports for the stop.
 
         Raises
         ------
@@ -421,7 +421,7 @@ class GcsLink:
 
 #: Number of stored recent voltages; when the output is checked, it may still be at any of these voltages.
 RECENT = 4
-#: Points of a wave per command, and polling interval for its end [s].
+#: Points of a wave per command, and polling interval for the end of the wave [s].
 POINTS, PATIENCE = 40, 0.02
 #: Number of attempts to make a controller safe; all but the first use a new connection.
 ATTEMPTS = 3
