@@ -281,6 +281,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     good = np.isfinite(tracked.reference) & np.isfinite(tracked.displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
+    notes["recording"] = [*notes["recording"], *_missing_note(recording, np.isfinite(tracked.displacement))]
     figures: dict = {name: None for name, *_ in FIGURES}
     off = stopped(recording)[good]
     time, reference, displacement = tracked = tracked.at(good)
@@ -416,6 +417,19 @@ def _reference_note(recording: Recording, settings: AxisSettings, place, actual:
             f"; against it delayed by {settings.learned_preview} samples (feedforward.preview) the RMS error is {rms}"
         )
     return [text]
+
+
+def _missing_note(recording: Recording, there) -> list[str]:
+    """Return a note about samples without a measurement, apart from skipped samples, if there are any."""
+    skipped = np.nan_to_num(recording["skipped"]) > 0.0 if recording.has("skipped") else np.zeros_like(there)
+    absent = np.flatnonzero(~there & ~skipped)
+    if not absent.size:
+        return []
+    seconds = recording.time[absent[0]] - recording.time[0]
+    return [
+        f"the sensor gave no measurement in {absent.size} of {len(recording)} samples, first at {seconds:.4g} s; no "
+        "figure includes these samples"
+    ]
 
 
 def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict) -> dict:

@@ -346,3 +346,14 @@ def test_a_scan_with_missing_samples_is_one_scan_with_its_period(shape):
     assert part["part"] == "scan" and part["period_s"] == pytest.approx(0.2, abs=1.1 / RATE) and part["periods"] == 9
     removed = Recording.from_columns({"time": time[there], **{k: v[there] for k, v in columns.items()}})
     assert period_ends(removed).size == 10
+
+
+def test_measurements_that_a_sensor_did_not_give_are_counted_and_skipped_samples_are_not():
+    reference = 1e-6 * np.sin(10.0 * np.pi * TIME)
+    displacement, skipped = reference.copy(), np.zeros(len(TIME))
+    displacement[[300, 301, 500]] = np.nan
+    skipped[500] = 1.0
+    notes = compute_metrics(run(reference, displacement, skipped=skipped))["notes"]["recording"]
+    (note,) = [note for note in notes if "the sensor gave no measurement" in note]
+    assert "in 2 of 1000 samples, first at 0.3 s" in note
+    assert not any("no measurement" in note for note in compute_metrics(run(reference))["notes"]["recording"])
