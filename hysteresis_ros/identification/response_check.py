@@ -251,7 +251,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, plant, response, sample_time: float) -> tuple[float, ...]:
-    """Return the frequencies of peaks in the residual's spectrum that neither the input's spectrum nor the model has."""
+    """Return the frequencies of peaks in the residual that neither the spectrum of the input nor the model has."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]

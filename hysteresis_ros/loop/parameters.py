@@ -749,7 +749,7 @@ TIMEOUTS = {
 def _device_trigger_problems(plant, name: str, source, controller):
     """Yield a Problem if the triggers that the device outputs are missing, or if its trigger input has no effect."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
-        remedy = f"differ from those of the {name}: remove them here; the values of the {name} are then used"
+        remedy = f"differ from the triggers of the {name}: remove them here; the triggers of the {name} are then used"
         yield Problem("plant_simulator: triggers", name, remedy)
     if plant.trigger_output and not source.triggers.makes_events:
         remedy = f"there are no triggers: give {name} triggers"

@@ -145,7 +145,7 @@ class StageNodeParameters(NodeParameters):
     decoupling: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="matrix from the commands of the degrees of freedom to those of the actuators, n·n "
+        description="matrix from the commands of the degrees of freedom to the commands of the actuators, n·n "
         "numbers row by row; empty: each actuator drives its axis",
     )
     feedforward: StageFeedforwardParameters = group(StageFeedforwardParameters)

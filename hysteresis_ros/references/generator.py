@@ -378,8 +378,9 @@ class ReferenceGenerator(Chain):
         name = "frequency" if shape.takes_frequency else shape.extent
         remedy = (
             f"a step of {micrometres(distances[worst])} takes {needed[worst]:.3g} s within the limits of the approach "
-            f"(approach.steps: true), and the next one comes after {available[worst]:.3g} s: its level is not reached; "
-            "make steps slower or smaller, or raise approach.maximum_velocity, maximum_acceleration and maximum_jerk"
+            f"(approach.steps: true), and the next step comes after {available[worst]:.3g} s: the axis does not reach "
+            "the level; make steps slower or smaller, or raise approach.maximum_velocity, maximum_acceleration and "
+            "maximum_jerk"
         )
         return Problem(f"waveform.{name}", own.waveform.to_mapping()[name], remedy)
 

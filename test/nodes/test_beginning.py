@@ -95,7 +95,7 @@ def test_a_generator_warns_of_steps_that_it_cannot_follow_within_its_limits():
         node.part = GeneratorSource(axis_parameters(overrides={"reference_generator": given}).generator)
         ReferenceGeneratorNode._connect_part(node)
     (text,) = said
-    assert "waveform.frequency = 150.0" in text and "its level is not reached" in text
+    assert "waveform.frequency = 150.0" in text and "the axis does not reach the level" in text
 
 
 def test_a_fused_generator_warns_of_a_changed_waveform_that_exceeds_the_slew_rate():

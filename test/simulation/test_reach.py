@@ -183,7 +183,7 @@ def test_a_warning_names_steps_whose_level_is_not_reached_before_the_next_one(ki
             levels = {"values": (2e-6, 6e-6, 2e-6), "times": (0.0, time, 2.0 * time), "period": 3.0 * time}
             given |= {f"waveform__steps__{name}": value for name, value in levels.items()}
         built = axis(reference_generator=given, motion_controller={"type": "open_loop"})
-        warned = [text for text in reach_warnings(built) if "its level is not reached" in text]
+        warned = [text for text in reach_warnings(built) if "the axis does not reach the level" in text]
         reached = np.ptp(simulate(built, duration=4.0 * time)["reference"][samples:]) > 4e-6 - 1e-15
         assert bool(warned) != reached
         assert all("a step of 4 µm takes " in text and f"comes after {time:.3g} s" in text for text in warned), warned
