@@ -380,7 +380,7 @@ class ReadyTopics:
         if node.hindrance():
             return node.hindrance()
         if tolerance == 0.0 and TOLERANCE not in given:
-            return "a move needs a tolerance > 0 m: state one, or set ready.tolerance"
+            return "a move needs a tolerance > 0 m: give one, --tolerance 50nm, or set ready.tolerance"
         if not 0.0 < tolerance < math.inf:
             return f"tolerance {readable(tolerance, 'm')} refused: must be > 0"
         if not 0.0 <= dwell < math.inf:

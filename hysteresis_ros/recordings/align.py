@@ -254,7 +254,8 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
-            f"{late} voltages were late, and the plant held the previous one: this machine was too busy for the rate"
+            f"{late} voltages were late, and the plant held the previous one: this machine or the driver was too slow "
+            "for the rate"
         )
     if log.lacking:
         notes.append(f"{log.lacking} entries of the change log are missing: the run cannot be repeated")

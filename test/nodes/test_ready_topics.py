@@ -101,7 +101,7 @@ def test_a_move_is_predicted_and_then_measured(axis, heard, client, capsys):
     ("value", "tolerance", "dwell", "words"),
     [
         (6e-6, 1e-10, None, r"tolerance 0.1 nm refused: .* within \S+ nm during 99 % of the time; give at least"),
-        (6e-6, None, None, "needs a tolerance > 0 m: state one, or set ready.tolerance"),
+        (6e-6, None, None, "needs a tolerance > 0 m: give one, --tolerance 50nm, or set ready.tolerance"),
         (6e-6, 20e-9, -1.0, "dwell -1 s refused"),
         (50e-6, 20e-9, None, r"setpoint 50 µm refused: out of range, allowed: 0 … 12 µm"),
     ],
