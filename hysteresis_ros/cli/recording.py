@@ -206,10 +206,10 @@ def equal(name: object, samples: int) -> str:
 )
 @click.option("--namespace", help="Axis to use, if the bag contains several.")
 def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
-    """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table of eight columns in SI units.
+    """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table in SI units.
 
-    The columns are time, setpoint, reference, command, voltage, displacement (true), measured and estimated, as
-    `hysteresis simulate` writes them.
+    The columns are time and the recorded ones of setpoint, reference, command, voltage, displacement (true), measured
+    and estimated, then further signals such as modes and skipped samples, as `hysteresis simulate` writes them.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.recordings.files import load_run, save_run

@@ -192,7 +192,7 @@ def test_a_step_gains_the_kicks_of_both_clamps():
         ({**RIGID, "kick": 1e-9}, "kick = 1e-09: needs a compliant contact: set compliance"),
         ({**RIGID, "damping": 0.1}, "slider.damping = 0.1: is for compliant contacts"),
         ({**RIGID, "substeps": 4}, "slider.substeps = 4: is for compliant contacts"),
-        ({"damping": 0.0}, "substeps = 0: as many steps as needed to resolve slider.damping"),
+        ({"damping": 0.0}, "substeps = 0: chooses as many steps as slider.damping needs"),
     ],
 )
 def test_what_does_not_fit_together_is_refused_with_what_to_do(changes, words):

@@ -85,8 +85,8 @@ def test_a_service_that_is_started_in_the_root_has_no_place(work, monkeypatch):
 def test_code_is_never_named_over_the_graph(work):
     driver = row("plant_simulator", "driver")
     assert misplaced(driver, "gcs") is None and misplaced(driver, "") is None
-    assert "may name code" in str(misplaced(driver, "./mine.py"))
-    assert "may name code" in str(misplaced(row("plant_simulator", "driver_options"), ["port=/dev/sda"]))
+    assert "may load code" in str(misplaced(driver, "./mine.py"))
+    assert "may load code" in str(misplaced(row("plant_simulator", "driver_options"), ["port=/dev/sda"]))
 
 
 def test_every_text_is_known_to_be_a_path_or_none():
@@ -127,7 +127,7 @@ def test_nobody_makes_a_node_load_code_by_cleaning_it_up_first(inside, work):
     (work / "mine.py").write_text("raise SystemExit('loaded')")
     for value in ("./mine.py", str(work / "mine.py"), "/tmp/mine.so"):
         answer = node.set_parameters_atomically([Parameter("driver", value=value)])
-        assert not answer.successful and "only the parameter file or the command line" in answer.reason
+        assert not answer.successful and "set it only in the parameter file or on the command line" in answer.reason
     assert node.get_parameter("driver").value == ""
 
 
