@@ -93,7 +93,7 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 def resolved(path: str) -> Any:
     """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    With such a path a declaration can refer to an object in a folder that it must not import.
+    With such a path a declaration can refer to an object in a package that the declaration's module must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)

@@ -49,7 +49,7 @@ class Picture:
 
 
 def line(label: str, x, y) -> Line:
-    """Return a line for a picture, thinned to :data:`POINTS`."""
+    """Return a curve for a chart, decimated to at most :data:`POINTS` points."""
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]

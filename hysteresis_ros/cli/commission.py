@@ -146,7 +146,10 @@ SILENCE = 5.0
     "--against", metavar="NAME", multiple=True, help="Another model that the controller must tolerate, or `none`."
 )
 @click.option(
-    "--controller", default="auto", show_default=True, help="Controller to design; auto: smallest error of the scan."
+    "--controller",
+    default="auto",
+    show_default=True,
+    help="Controller to design; auto: the one with the smallest error of the scan.",
 )
 @click.option("--scan-stroke", metavar="LENGTH", help="Peak-to-peak displacement of the scan, such as 70um.")
 @click.option("--scan-frequency", metavar="FREQUENCY", help="Frequency of the triangle, such as 5Hz.")

@@ -164,7 +164,8 @@ def _sleep_states(run: Run) -> Delay:
             cost = f"lateness {_late(before)}, with deep states off {_late(run(spin=0.0))}"
         else:
             change = (
-                'a udev rule, KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660", for realtime.spin to hold it'
+                'a udev rule, KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660"; then realtime.spin holds '
+                "/dev/cpu_dma_latency at 0 while a loop runs"
             )
     return Delay("sleep states", state, cost, change if states else "")
 

@@ -173,8 +173,8 @@ def doctor(path: pathlib.Path | None) -> None:
 
     Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
     half a period and fewer than 0.5 % are skipped. For each setting of the machine that delays a loop: its state, its
-    cost, and the command that changes it. Composed and as processes: samples per second in lockstep; in real time at
-    300 Hz the time from a measurement to its voltage, and how many voltages are late.
+    cost, and the command that changes it. With nodes composed and as processes: samples per second in
+    lockstep; in real time at 300 Hz, the time from a measurement to its voltage and the number of late voltages.
     """
     if path is not None and not path.absolute().parent.is_dir():
         raise click.UsageError(f"--json {path}: the folder does not exist; choose another one")

@@ -86,8 +86,8 @@ def response_run(
     """Return the axis with the excitation, and the plan that describes the excitation in the recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     generator = axis.require_generator(
-        f"{configuration.source}: the response of a walking motor cannot be measured; measure its extender alone, in a "
-        "file without inchworm_sequencer"
+        f"{configuration.source}: the response of an inchworm motor cannot be measured; measure its extender alone, in "
+        "a file without inchworm_sequencer"
     )
     if asked.loop == "closed" and not axis.motion_controller.law.feedback:
         raise ConfigurationError(

@@ -304,8 +304,8 @@ class EmulatedDevice:
     parameters : type of Parameters
         Options of the command in addition to the plant and its faults.
     start : callable
-        ``start(parameters, bench)``, with a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`, returns a context
-        manager with the running device, a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
+        ``start(parameters, bench)`` starts the device on a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`. It
+        returns a context manager, which yields a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
     """
 
     parameters: type[Parameters]

@@ -330,7 +330,7 @@ class ResponseMatrix:
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:
-        """Return the response matrix of the lines ``kept``, shape (F,) of bool."""
+        """Return the response matrix at the lines that the mask ``kept`` selects; ``kept``: bool, shape (F,)."""
         noise, total = (None if one is None else one[kept] for one in (self.noise, self.total))
         return ResponseMatrix(_at(self.response, kept), noise, total, self.condition[kept])
 

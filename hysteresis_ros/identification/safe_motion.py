@@ -204,12 +204,11 @@ def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
     feedforward = FeedforwardParameters(type=str(controller.get("feedforward.type", "none")))
     keeps = "steps of a waveform keep the limits too"
     if feedforward.inverts and not reference.get("approach.steps", False):
-        return f"{keeps}: the feedforward inverts the dynamics"
+        return f"{keeps}, because the feedforward inverts the dynamics"
     # after a jump, a fast loop with a limited slew rate can oscillate between its limits although its margins are met
     law = LAWS.get(str(controller.get("type", "")))
-    return (
-        f"{keeps}: a jump exceeds the slew rate" if law and law.feedback and "approach.steps" not in reference else ""
-    )
+    stated = "approach.steps" in reference
+    return f"{keeps}, because a jump exceeds the slew rate" if law and law.feedback and not stated else ""
 
 
 def with_comments(text: str, commented: str) -> str:

@@ -350,8 +350,8 @@ class HysteresisAxis(StandardReadable):
         ):
             if limit and needed > limit * (1.0 + 1e-9):
                 raise HysteresisError(
-                    f"{self.name}: the flight needs a {what} of {needed:.4g} {unit}, the approach allows {limit:.4g}; "
-                    "give it more time"
+                    f"{self.name}: the flight needs {needed:.4g} {unit} of {what}, but the approach allows {limit:.4g} "
+                    f"{unit}; give the flight more time"
                 )
         return plan
 

@@ -123,7 +123,8 @@ def _pages_and_files(outputs, best: bool):
     multiple=True,
     metavar="NODE.PARAMETER=RANGE",
     help="0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), loguniform(A,B), normal(MEAN,DEVIATION); "
-    "repeatable. plant_simulator=±5% varies gain, opening, slowness and creep_rate of the plant.",
+    "repeatable. plant_simulator=±5% varies the plant's gain, loop width (`opening`), time constants (`slowness`) and "
+    "creep_rate.",
 )
 @click.option("--runs", type=click.IntRange(1), help="Total number of runs; by default all levels once, or 1000.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all draws.")
@@ -534,7 +535,7 @@ def ioc(config, *, attach, prefix, namespace, egu, precision, tolerance, timeout
     """Start the axes of CONFIG, which follow setpoints only, and serve each as an EPICS motor record.
 
     The record of an axis in the namespace `left` is hysteresis:left; the record of an axis without namespace is
-    hysteresis:m1. The degrees of freedom of a stage are its axes: hysteresis:x, hysteresis:y.
+    hysteresis:m1. A stage has a record for each degree of freedom, such as hysteresis:x and hysteresis:y.
 
     Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
     """

@@ -13,8 +13,8 @@ voltage → delay → (lag) → hysteresis → creep → two modes → (lag) →
 The chain is integrated on a grid finer than the samples, with the voltage held during each sample; the displacement
 between the samples is therefore known, too. The types of hysteresis, where s is the voltage divided by its range, are
 
-* ``play``: generalised play operators with different curves for rising and falling, and thresholds that widen with the
-  speed of the input [1],
+* ``play``: generalised play operators with different envelopes for rising and falling input, and thresholds that grow
+  with the speed of the input [1],
 * ``preisach``: a Preisach operator in Krejčí's form Σ q(r, z_r), with play operators z_r, and q nonlinear in z_r [2],
 * ``bouc_wen``: y = d(s) − h, h' = α s' − β |s'| h − γ s' |h| [3],
 * ``duhem``: y' = a |s'| (f(s) − y) + g s' (Coleman & Hodgdon) [4].

@@ -261,8 +261,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         low=-1,
         high=10**9,
         description="number of late voltages, in a row or within a second, above which the axis goes to its safe state "
-        "until ~/start; 0: a twentieth of the samples of a second, at least 20; -1: no limit, and voltages for an "
-        "earlier sample are output too",
+        "until ~/start; 0: 5 % of the samples in a second, but at least 20; -1: no limit, and a voltage that answers "
+        "an earlier sample is output too",
     )
     overtravel: float = parameter(
         0.0,

@@ -345,7 +345,7 @@ class Plant:
         own = self.parameters.joint
         return (own, self.parameters.force_joint) if self.measures_force else (own,)
 
-    #: Error with which a device has stopped the axis, and error of the last reading of the sensor.
+    #: Message of the device error that has stopped the axis, and message about an invalid last reading; empty: none.
     failure = complaint = ""
 
     #: The node whose loss has stopped the axis.

@@ -304,7 +304,7 @@ class SensorCalibration(Block):
         unit, count = self.parameters.unit, int(self.x[BEYOND])
         return (
             f"the sensor reads {reading:.6g} {unit}, beyond calibration.sensor.minimum … maximum = {low:g} … {high:g} "
-            f"{unit}: no measurement ({count} so far); check the sensor, its cable and its range"
+            f"{unit}: the reading is not used ({count} such readings so far); check the sensor, its cable and its range"
         )
 
 

@@ -37,8 +37,8 @@ class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
 
     Missing commands are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.compensator`). In real time
-    the node answers commands of any node, and counts samples by the clock while no commands arrive. At exit the voltage
-    returns to ``safe_voltage``.
+    the commands may come from any node, and samples are counted by the clock while no commands arrive. At exit the
+    voltage returns to ``safe_voltage``.
     """
 
     parameters: CompensatorNodeParameters

@@ -355,7 +355,7 @@ def test_a_motion_beyond_the_announced_one_is_a_warning(done, tmp_path):
     assert not any("warning" in text for text in quiet.lines)
     (text,) = (text for text in loud.lines if "warning" in text)
     figures = loud.figures["y"]
-    assert f"y: moved {figures['swing_m'] / figures['predicted_swing_m']:.3g} times as far as announced" in text
+    assert f"y: moved {figures['swing_m'] / figures['predicted_swing_m']:.3g} times as far as expected" in text
     assert "more than 28.47 µm beyond the range" in text and "raise `small`" in text
     said = COUPLED_STAGES["multisine"].words(done[0])
     assert f"y ±{1e6 * figures['predicted_swing_m']:.4g} µm as the small multisines predict" in said

@@ -78,7 +78,8 @@ def test_readings_beyond_the_range_are_no_measurements_and_are_named():
     block = sensor()
     assert math.isfinite(block.step(65535.0)) and not block.complaint
     assert math.isnan(block.step(65536.0)) and math.isnan(block.step(-0.5))
-    assert block.complaint.startswith("the sensor reads -0.5 count, beyond") and "(2 so far)" in block.complaint
+    said = block.complaint
+    assert said.startswith("the sensor reads -0.5 count, beyond") and "(2 such readings so far)" in said
     assert math.isfinite(block.step(0.0)) and not block.complaint
     assert math.isnan(block.step(math.nan)) and not block.complaint
 

@@ -208,10 +208,10 @@ def judge_multisine(situation: StageSituation, recording: Recording) -> Outcome:
         )
         if swing > predicted[name]:
             lines.append(
-                f"warning: {name}: moved {swing / predicted[name]:.3g} times as far as announced: its gain grows with "
-                "the size of the motion, or something else moved it. Stages stop only if a sensor reads more than "
-                f"{readable(OVERTRAVEL * situation.plans[name].stroke, 'm')} beyond the range of their voltages. For a "
-                "better prediction raise `small` in /commissioning"
+                f"warning: {name}: moved {swing / predicted[name]:.3g} times as far as expected, because its gain "
+                "grows with the size of the motion, or because something else moved it. Stages stop only if a sensor "
+                f"reads more than {readable(OVERTRAVEL * situation.plans[name].stroke, 'm')} beyond "
+                "the range of their voltages. For a better prediction raise `small` in /commissioning"
             )
         for j, other in enumerate(names):
             label = f"{name} from {other}"

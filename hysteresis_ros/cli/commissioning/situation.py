@@ -141,7 +141,7 @@ def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> P
     A section for all axes and a section in the namespace of the axis may both be given; the latter has precedence.
     """
     axis.require_generator(
-        f"{configuration.source}: a walking motor cannot be commissioned; commission its extender alone, in a file "
+        f"{configuration.source}: an inchworm motor cannot be commissioned; commission its extender alone, in a file "
         "without inchworm_sequencer"
     )
     compensator = axis.hysteresis_compensator

@@ -165,7 +165,7 @@ class Narx:
         return self.middle[1] + self.scale[1] * np.where(np.isfinite(free), free, DIVERGED)
 
     def _resting(self, u: float) -> float:
-        """Return the output at rest under a constant input."""
+        """Return the steady-state output for a constant input."""
         y = np.zeros(500)
         found = self._run(np.full(500, u), y, self.orders, self.weights)
         return float(found[-1]) if np.isfinite(found[-1]) else 0.0
@@ -367,8 +367,8 @@ def load_model(spec: str):
         return SIMPLE[spec]()
     if spec not in names():
         raise HysteresisError(
-            f"--model {spec}: there are {', '.join(names())}{did_you_mean(spec, names())}; or your own class as "
-            "module:Class or file.py:Class"
+            f"--model {spec}: no such model{did_you_mean(spec, names())}; choose {', '.join(names())}, or your own "
+            "class as module:Class or file.py:Class"
         )
     return PackageModel(spec)
 

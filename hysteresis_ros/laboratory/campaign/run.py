@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Execution of a campaign, for each way of running and each fault case.
+"""Run a campaign: each fault case with the axis fused, composed and as processes.
 
 ``python -m hysteresis_ros.laboratory.campaign.run '{"config": "picma_stage", …}'`` runs a campaign. The argument is a
 JSON object with the keys ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``rate``, ``output``

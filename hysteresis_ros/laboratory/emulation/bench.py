@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
 FAULTS = {
     "busy": Kind("commands are refused as busy"),
-    "error": Kind("commands are refused with the device's error of that number", 1.0, "code"),
+    "error": Kind("commands are refused with the device's error whose code is the value", 1.0, "code"),
     "slow": Kind("each answer is delayed by the value", 0.2, "s"),
     "silent": Kind("there is no answer"),
     "cut": Kind("the link is cut and refuses connections"),

@@ -72,7 +72,7 @@ class PaperK:
     maximum: float
     rms: float
     preload_curve: PreloadIdentification  #: W(L0) from noisy points 0 … 6 N.
-    preload: float  #: Preload from a recording under 5.88 N [N].
+    preload: float  #: Preload [N] identified from the displacement that a preload of 5.88 N causes.
     #: voltage, truth, predicted: shape (N,); The decreasing triangle [V], and the displacements of the stack and of the
     #: model [m], at ``SAMPLE_TIME``.
     voltage: np.ndarray

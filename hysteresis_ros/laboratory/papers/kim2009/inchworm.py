@@ -266,7 +266,7 @@ def main(arguments=None) -> int:
             print(f"  error {max(one.error for one in moves) * 1e9:.2f} nm RMS at worst")
             print(f"  overshoot {max(one.overshoot for one in moves) * 1e6:.3f} um at worst")
             print(f"  {np.mean([one.duration for one in moves]):.1f} s and {moves[-1].steps} steps a move")
-            print(f"  {real_time:.0f} simulated seconds a second of processor time")
+            print(f"  {real_time:.0f} simulated seconds per second of processor time")
             print("  learned:", ", ".join(f"{name} {value:.4g}" for name, value in sequencer_of(axis).learned.items()))
     for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):
         moves = [one for seed in range(1, chosen.plants + 1) for one in honest_moves(seed, plant)]
