@@ -205,7 +205,7 @@ class Belief:
         return Belief(self.mean + gain * missing[:, :, np.newaxis], covariance)
 
     def step(self, correction, noise) -> np.ndarray:
-        """Return the change of the corrections (F, n) with the least expected error; errors within the noise stay."""
+        """Return the change of the corrections (F, n) with the least expected error; 0 for errors below the noise."""
         mean, whole = self.mean, self.covariance
         square = np.einsum("fia,fib->fab", mean[:, :, 1:].conj(), mean[:, :, 1:])
         square += np.einsum("fiba->fab", whole[:, :, 1:, 1:])

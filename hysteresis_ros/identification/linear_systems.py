@@ -477,7 +477,7 @@ class LinearPart:
         return self.behind_creep(self.crept(columns, sample_time), columns, sample_time)
 
     def crept(self, columns, sample_time: float) -> np.ndarray:
-        """Return the response of creep alone to the columns, or if settled to their change, shape (N, m)."""
+        """Return the columns filtered by creep alone, shape (N, m); ``settled``: their changes from the first row."""
         table = _table(columns)
         moved = table - table[:1] if self.settled else table
         if self.creep_rate < SMALLEST_RATE:

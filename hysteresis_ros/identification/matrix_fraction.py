@@ -96,7 +96,8 @@ def fit_matrix_fraction(
     G = data.response
     F, ny, nu = G.shape
     unknowns = degree * ny + (degree + bool(feedthrough)) * nu
-    refuse_short(2 * F * nu, unknowns, f"a matrix fraction of degree {degree} (numbers in the response)")
+    what = f"a matrix fraction of degree {degree} (the real and imaginary parts of the response count as samples)"
+    refuse_short(2 * F * nu, unknowns, what)
     # scaled, so that the units do not affect the rank
     scale = np.sqrt(np.mean(np.abs(G) ** 2))
     G = G / scale

@@ -398,7 +398,7 @@ def loops_of(reading: StageReading) -> list[tuple[int, int]]:
         if alone.size < SHORTEST or others.size > 0.01 * alone.size:
             raise DataError(
                 "columns",
-                f"{reading.source}: input {name} is never excited alone; excite one axis after the other "
+                f"{reading.source}: input {name} is not excited alone; excite one axis after the other "
                 "(hysteresis excite STAGE --recipe triangles)",
             )
         found.append((int(alone[0]), int(alone[-1]) + 1))

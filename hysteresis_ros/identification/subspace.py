@@ -64,7 +64,8 @@ def subspace_model(
     rows = blocks or 3 * needed
     if rows < needed:
         raise FitError(f"blocks = {rows}: at least {needed} are needed for order {order} and {q} outputs")
-    refuse_short(2 * F * m, 2 * rows * (q + m), f"a subspace model of order {order} (numbers in the response)")
+    what = f"a subspace model of order {order} (the real and imaginary parts of the response count as samples)"
+    refuse_short(2 * F * m, 2 * rows * (q + m), what)
     scale = np.sqrt(np.mean(np.abs(G) ** 2))
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
     powers = z[:, None] ** np.arange(rows)

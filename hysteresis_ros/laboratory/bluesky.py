@@ -350,7 +350,7 @@ class HysteresisAxis(StandardReadable):
         ):
             if limit and needed > limit * (1.0 + 1e-9):
                 raise HysteresisError(
-                    f"{self.name}: the flight needs {needed:.4g} {unit} of {what}, but the approach allows {limit:.4g} "
+                    f"{self.name}: {what} of the flight = {needed:.4g} {unit}: the approach allows {limit:.4g} "
                     f"{unit}; give the flight more time"
                 )
         return plan

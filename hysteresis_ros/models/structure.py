@@ -16,7 +16,7 @@ With m inputs u [V], q outputs y [m] and n states x:
 
 Each actuator has its own hysteresis. The input z_i of a hysteresis contains the voltage of its actuator and, through
 C_z, the motion of the structure at this actuator. An actuator may have several hystereses, for example one of its
-ceramic and one of its glued joints. Their total number h is then a multiple of m, and hysteresis i is driven by input i
+ceramic and one of its joints. The number h of all hystereses is a multiple of m, and hysteresis i is driven by input i
 mod m. The play operators are those of Prandtl and Ishlinskii [1]_ and are collocated with the actuators. Therefore the
 modes shift with the level of the excitation, which hysteresis in front of linear dynamics cannot reproduce. There is no
 feedthrough from w to z: w depends only on the state and the voltage of the same sample, so there is no algebraic loop.

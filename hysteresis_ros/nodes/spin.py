@@ -94,7 +94,7 @@ def make_executor():
 
 
 def called_by_compiler(frame) -> bool:
-    """Return whether a callback of the compiler runs; it swallows an exception, and the compilation then fails."""
+    """Return whether a callback of the compiler runs; it would swallow an exception, and the compilation would fail."""
     while frame is not None and frame.f_globals.get("__name__") != COMPILER:
         frame = frame.f_back
     return frame is not None

@@ -292,7 +292,7 @@ def _how_written(path, lines):
 
 
 def _with_text(lines):
-    """Return delimiter, decimal comma or not, and number of columns of rows with numbers and texts; else None."""
+    """Return delimiter, whether the comma is decimal, and number of columns of rows with numbers and texts, or None."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         rows = [row for row in (_split(line, delimiter) for line in lines) if len(row) > 1 and _is_row(row, comma)]

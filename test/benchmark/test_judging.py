@@ -141,7 +141,7 @@ def test_a_class_that_is_no_model_is_refused_at_once(task, file, spec):
 
 def test_an_unknown_model_is_refused_with_the_known_ones():
     """And with the nearest name."""
-    with pytest.raises(HysteresisError, match="did you mean narx.*classical_pi"):
+    with pytest.raises(HysteresisError, match="classical_pi.*did you mean narx"):
         load_model("narxx")
 
 

@@ -525,7 +525,7 @@ def test_one_axis_after_the_other_goes_through_its_range(truth):
     for i, (first, last) in enumerate(spans):
         assert np.ptp(u[first:last, i]) == pytest.approx(100.0, rel=1e-3)
         assert np.ptp(u[first:last, 1 - i]) == 0.0
-    with pytest.raises(DataError, match="input x/voltage is never excited alone"):
+    with pytest.raises(DataError, match="input x/voltage is not excited alone"):
         loops_of(read_stage(truth.with_name("multisine.npz")))
 
 

@@ -367,8 +367,8 @@ def load_model(spec: str):
         return SIMPLE[spec]()
     if spec not in names():
         raise HysteresisError(
-            f"--model {spec}: no such model{did_you_mean(spec, names())}; choose {', '.join(names())}, or your own "
-            "class as module:Class or file.py:Class"
+            f"--model {spec}: must be one of {', '.join(names())}, or your own class as module:Class or "
+            f"file.py:Class{did_you_mean(spec, names())}"
         )
     return PackageModel(spec)
 
