@@ -277,13 +277,16 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
 def find_parts(reference, displacement=None, off=None, time=None) -> list[Part]:
     """Return the parts of a run in order; together they cover the whole run.
 
-    With ``time``, samples that are missing between the given ones are interpolated first: without them a reference
-    that repeats would not equal itself one period later.
+    With ``time``, samples that are missing now and then are interpolated first: without them a reference that repeats
+    would not equal itself one period later.
 
     Units: ``reference`` [m], ``displacement`` [m], ``time`` [s].
     """
-    numbers = np.zeros(0, dtype=np.int64) if time is None else _numbers(time)
-    if numbers.size and numbers[-1] >= numbers.size:
+    intervals = np.zeros(0) if time is None or len(time) < 2 else np.diff(time)
+    # not by Recording.sample_numbers, which refuses a recording with a long pause
+    steps = np.maximum(np.rint(intervals / np.median(intervals)), 1.0) if intervals.size else intervals
+    if intervals.size < np.sum(steps) < 2 * intervals.size:
+        numbers = np.concatenate([[0], np.cumsum(steps.astype(np.int64))])
         every = np.arange(numbers[-1] + 1)
         before = np.searchsorted(numbers, every, side="right") - 1
         whole, moved = (None if one is None else np.interp(every, numbers, one) for one in (reference, displacement))
@@ -305,15 +308,6 @@ def find_parts(reference, displacement=None, off=None, time=None) -> list[Part]:
             own = [part.moved(first) for part in _running(reference[first:last])]
             parts += own if displacement is None else _jumped(own, reference, displacement)
     return parts
-
-
-def _numbers(time) -> np.ndarray:
-    """Return the numbers of samples that are missing only now and then, shape (N,); else of successive samples."""
-    every = np.arange(len(time))
-    if len(time) < 3:
-        return every
-    numbers = np.rint((time - time[0]) / np.median(np.diff(time))).astype(np.int64)
-    return numbers if np.all(np.diff(numbers) > 0) and numbers[-1] < 2 * len(time) else every
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:

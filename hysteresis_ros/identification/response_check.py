@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from hysteresis_ros.control.margins import plant_state_space
 from hysteresis_ros.control.uncertainty import (
@@ -261,16 +262,12 @@ def _ringing(spectra: SegmentSpectra, plant, response, sample_time: float) -> tu
     ratio[spectra.smooth(left, NARROW) < RINGS**2 * explained] = 0.0
     poles = np.log(plant.poles[plant.poles.imag > 0.0]) / sample_time / (2.0 * np.pi)
     light = poles[-poles.real <= LIGHT * np.abs(poles)]
-    stands_out = ratio > STANDS_OUT
-    while np.any(stands_out):
-        place = int(np.argmax(np.where(stands_out, ratio, 0.0)))
+    regions, count = ndimage.label(ratio > STANDS_OUT)
+    peaks = [place for (place,) in ndimage.maximum_position(ratio, regions, np.arange(1, count + 1))]
+    for place in sorted(peaks, key=lambda place: -ratio[place]):
         peak = float(spectra.frequencies[place])
         if not np.any(np.abs(peak - np.abs(light)) <= spectra.resolution - light.real):
             return (peak,)
-        others = np.flatnonzero(~stands_out)
-        after = int(np.searchsorted(others, place))
-        first = others[after - 1] + 1 if after else 0
-        stands_out[first : others[after] if after < len(others) else len(ratio)] = False
     return ()
 
 
