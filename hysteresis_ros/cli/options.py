@@ -455,7 +455,7 @@ def scan_options(command):
 
 
 def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
-    """Refuse values of a scan if no scan was chosen; ``remedy`` helps users who meant parameters of nodes."""
+    """Refuse values of a scan if no scan was chosen; ``remedy`` helps if parameters of nodes were meant."""
     if values and "=" in values[0]:
         raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster{remedy}")
     if values:

@@ -319,7 +319,7 @@ def judge(
 
 
 def _up_to(angles, begun) -> float:
-    """Return the first angle at which a condition holds: 0 if it is the first of ``angles``, π if there is none."""
+    """Return the first angle at which a condition holds: 0 if it is the first of ``angles``, π if it never holds."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi

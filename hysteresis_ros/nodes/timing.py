@@ -237,7 +237,7 @@ class Runner:
     by_message = True
     #: Inputs of the node that have stopped, by topic.
     absent: tuple[str, ...] = ()
-    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty if there is none.
+    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: no loss.
     latched = ""
     #: Whether the plant has announced that the axis resumes, but no measurement has confirmed this yet.
     goes_on = False
