@@ -158,7 +158,7 @@ def _quantity(name: str, text: str, unit: str) -> float:
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("value")
-@click.option("--tolerance", help="Largest distance from VALUE, e.g. 5nm; by default ready.tolerance of the axis.")
+@click.option("--tolerance", help="Largest distance from VALUE, e.g. 5nm; by default ready.tolerance or the noise.")
 @click.option("--dwell", help="Time within the tolerance, e.g. 5ms; by default ready.dwell of the axis.")
 @steered(timeout=60.0)  # the first prediction may have to be compiled
 def move(value, tolerance, dwell, namespace, timeout):

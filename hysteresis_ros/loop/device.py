@@ -482,8 +482,8 @@ class DrivenPlant(Plant):
     def description(self) -> str:
         """One line about the device."""
         can = self.capabilities
-        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
-        text += f"{can.highest_rate:g} Hz; "
+        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, "
+        text += f"up to {can.highest_rate:g} Hz; " if math.isfinite(can.highest_rate) else "any rate; "
         if can.watchdog is None:
             return f"{text}no watchdog of its own: if this node is killed, the last voltage stays on the device"
         return f"{text}its watchdog acts after {can.watchdog:g} s"

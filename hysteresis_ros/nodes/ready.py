@@ -48,6 +48,9 @@ MOST = 20_000
 #: Largest number of waiting jobs. If setpoints arrive faster than predictions are computed, some moves are not
 #: predicted.
 WAITING = 8
+#: Tolerance of a move that states none on an axis without ``ready.tolerance``, as a multiple of the least one that the
+#: noise permits: twice that is left in 1e-7 of the time by normal noise.
+FREE = 2.0
 #: Parameters of the nodes whose loop is predicted.
 KINDS = {signals.CONTROLLER: ControllerNodeParameters, signals.COMPENSATOR: CompensatorNodeParameters}
 
@@ -370,18 +373,23 @@ class ReadyTopics:
             f"{readable(noise.least_tolerance, 'm')} during 99 % of the time; give at least that"
         )
 
+    def _tolerance(self, given: dict[str, float]) -> float:
+        """Return the tolerance of a request [m]: its own, that of the axis, or a multiple of the least one."""
+        own, noise = self._node.parameters.ready.tolerance, self.noise
+        allowed = FREE * noise.least_tolerance if noise is not None else 0.0
+        return given.get(TOLERANCE, own or allowed)
+
     def _refusal(self, given: dict[str, float]) -> str:
         """Return why a request for a move is refused; empty if it is accepted."""
         node, noise = self._node, self.noise
-        tolerance, dwell = given.get(TOLERANCE, node.parameters.ready.tolerance), given.get(DWELL, 0.0)
+        tolerance, dwell = self._tolerance(given), given.get(DWELL, 0.0)
         waveform = node.parameters.waveform.type
         if not (node.active and node.running):
             return "the reference generator does not run; activate it, or call ~/start"
         if node.hindrance():
             return node.hindrance()
-        if tolerance == 0.0 and TOLERANCE not in given:
-            return "a move needs a tolerance > 0 m: give one, --tolerance 50nm, or set ready.tolerance"
-        if not 0.0 < tolerance < math.inf:
+        stated = TOLERANCE in given or node.parameters.ready.tolerance > 0.0
+        if stated and not 0.0 < tolerance < math.inf:
             return f"tolerance {readable(tolerance, 'm')} refused: must be > 0"
         if not 0.0 <= dwell < math.inf:
             return f"dwell {dwell:g} s refused: must be a number of seconds >= 0"
@@ -390,6 +398,8 @@ class ReadyTopics:
         if noise is None:
             samples = NoiseMeter.SETTLED + NoiseMeter.FEWEST
             return f"the noise is not measured yet: let the axis rest for {REST:g} s and {samples} samples"
+        if not tolerance > 0.0:
+            return "the axis has no noise that gives a tolerance: give one, --tolerance 50nm, or set ready.tolerance"
         if tolerance < noise.least_tolerance:
             return f"tolerance {readable(tolerance, 'm')} refused: {self._too_small(noise)}"
         return ""
@@ -412,7 +422,7 @@ class ReadyTopics:
         if abs(target - node.setpoint) <= own.deadband and not node.part.generator.moving and own.deadband > 0.0:
             result.successful, result.reason = True, json.dumps({"move": None, "deadband": own.deadband})
             return response
-        self.asked = given.get(TOLERANCE, own.tolerance), given.get(DWELL, own.dwell)
+        self.asked = self._tolerance(given), given.get(DWELL, own.dwell)
         try:
             reason = node.take_and_tell(target)
         finally:

@@ -141,8 +141,7 @@ class ReadyParameters(Parameters):
 
     tolerance: float = parameter(
         0.0,
-        description="largest distance of the displacement from the setpoint; 0: nothing is predicted until a move "
-        "states a tolerance",
+        description="largest distance of the displacement from the setpoint; 0: only moves of `~/move` are predicted",
         unit="m",
         low=0.0,
         high=1.0,

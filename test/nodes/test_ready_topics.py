@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -101,7 +102,6 @@ def test_a_move_is_predicted_and_then_measured(axis, heard, client, capsys):
     ("value", "tolerance", "dwell", "words"),
     [
         (6e-6, 1e-10, None, r"tolerance 0.1 nm refused: .* within \S+ nm during 99 % of the time; give at least"),
-        (6e-6, None, None, "needs a tolerance > 0 m: give one, --tolerance 50nm, or set ready.tolerance"),
         (6e-6, 20e-9, -1.0, "dwell -1 s refused"),
         (50e-6, 20e-9, None, r"setpoint 50 µm refused: out of range, allowed: 0 … 12 µm"),
     ],
@@ -124,6 +124,10 @@ def test_a_tolerance_of_the_axis_holds_for_setpoints_and_the_deadband_for_moves(
     assert "within ready.deadband = 50 nm" in capsys.readouterr().out
     assert source(axis).setpoint == 8e-6 and len(said(heard, "move")) == known
     set_(client, "reference_generator", {"ready.tolerance": "0", "ready.deadband": "0"})
+    assert move(client, 7e-6, None, None) == 0
+    permitted = 2.0 * source(axis).ready.noise.least_tolerance
+    assert re.search(r"predicted; tolerance \d\S* nm\nready after", capsys.readouterr().out)
+    assert said(heard, "tolerance")[-1] == pytest.approx(permitted, rel=0.5)
 
 
 def test_a_refused_move_ends_with_exit_code_2(axis, client, capsys):
@@ -419,7 +423,8 @@ def requested(given, noise=1e-9, waveform="hold", setpoint=5e-6, moving=False, d
         ([("setpoint", 5e-6), ("speed", 1.0)], {}, "move takes"),
         ([("setpoint", 5e-6), ("setpoint", 6e-6)], {}, "move takes"),
         ([("setpoint", 1.0)], {}, "out of range"),
-        ([("setpoint", 6e-6)], {"tolerance": 0.0}, "a move needs a tolerance > 0"),
+        ([("setpoint", 6e-6)], {"tolerance": 0.0, "noise": 0.0}, "no noise that gives a tolerance: give one"),
+        ([("setpoint", 6e-6)], {"tolerance": 0.0, "noise": None}, "not measured yet"),
         ([("setpoint", 6e-6), ("tolerance", 0.0)], {}, "tolerance 0 µm refused: must be > 0"),
         ([("setpoint", 6e-6), ("tolerance", math.inf)], {}, "must be > 0"),
         ([("setpoint", 6e-6), ("tolerance", math.nan)], {}, "must be > 0"),
@@ -438,6 +443,12 @@ def test_a_move_that_cannot_be_judged_is_refused_with_the_reason(given, state, w
 def test_a_move_has_its_own_tolerance_and_dwell_time_or_those_of_the_axis():
     assert requested([("setpoint", 6e-6)])[2] == [(20e-9, 0.01)]
     assert requested([("setpoint", 6e-6), ("dwell", 0.5)])[2] == [(20e-9, 0.5)]
+
+
+def test_a_move_without_a_tolerance_gets_twice_the_least_one_of_the_noise():
+    successful, reason, asked = requested([("setpoint", 6e-6)], tolerance=0.0)
+    assert successful, reason
+    assert asked == [(pytest.approx(2.0 * 2.5758e-9, rel=1e-4), 0.01)]
     # 99 % of the noise is within 2.576 standard deviations
     assert requested([("setpoint", 6e-6), ("tolerance", 2.5761e-9), ("dwell", 0.0)])[2] == [(2.5761e-9, 0.0)]
 
@@ -476,7 +487,8 @@ class Answering:
         return SimpleNamespace(result=result)
 
 
-FORESEEN, UNFORESEEN = {"move": 7, "predicted": 0.004}, {"move": 7, "predicted": None, "why": "too many moves"}
+FORESEEN = {"move": 7, "tolerance": 5e-9, "predicted": 0.004}
+UNFORESEEN = {"move": 7, "predicted": None, "why": "too many moves"}
 READY = {"move": 7, "ready": 0.003, "missing": 0}
 OTHER = [{"move": 6, "ended": "replaced"}, {"move": 6, "predicted": 0.1}, {"move": 8, "ready": 0.2, "missing": 0}]
 
@@ -517,6 +529,7 @@ def test_a_zero_is_sent_and_what_is_not_given_is_not(monkeypatch, capsys):
     monkeypatch.setattr(commands, "_require_active", lambda client, source: None)
     moved, held = Answering([FORESEEN, READY]), Answering([], {})
     assert move(moved, 0.0, None, 0.0) == 0 and moved.request == {"setpoint": 0.0, "dwell": 0.0}
+    assert "ready in 4 ms, predicted; tolerance 5 nm\n" in capsys.readouterr().out
     held.find = lambda name: f"/left/{name}"
     for given, sent in (((0.0, None), {"duration": 0.0}), ((2.0, 1e-9), {"duration": 2.0, "tolerance": 1e-9})):
         commands.quiet(held, *given)

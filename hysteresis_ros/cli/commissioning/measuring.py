@@ -135,7 +135,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
         )
     lines = [
         f"noise {1e9 * noise:.3g} nm RMS, drift {1e9 * drift:+.3g} nm/s, reads {readable(zero, 'm')} "
-        f"at {situation.safe:g} V"
+        f"at {situation.safe:g} V at first"
     ]
     if noise == 0.0:
         lines.append("all readings are equal: noise below the resolution, or a sensor that does not measure the stage")
@@ -229,10 +229,12 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
         )
     peak = int(np.argmax(size))
     # far below a resonance, but from more than a few of the lowest lines, because drift and creep add to these lines
-    gain = float(np.median(size[: max(np.searchsorted(found.frequency, FAR_BELOW * found.frequency[peak]), LOW_LINES)]))
+    low = max(int(np.searchsorted(found.frequency, FAR_BELOW * found.frequency[peak])), LOW_LINES)
+    gain = float(np.median(size[:low]))
     figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
     lines = [
-        f"gain of small movements {1e6 * gain:.4g} µm/V, delay {1e3 * figures['delay_s']:.3g} ms including "
+        f"gain of small movements {1e6 * gain:.4g} µm/V (median up to "
+        f"{found.frequency[:low][-1]:.3g} Hz), delay {1e3 * figures['delay_s']:.3g} ms including "
         "the hold of a sample"
     ]
     if size[peak] > STANDS_OUT * gain:

@@ -555,6 +555,8 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
     heard = told(number)
     predicted, why = heard.get("predicted"), heard.get("why") or heard.get("ended")
     words = f"not predicted: {why}" if predicted is None else f"ready in {readable(predicted, 's')}, predicted"
+    if tolerance is None:
+        words += f"; tolerance {readable(heard['tolerance'], 'm')}"
     print(f"setpoint {readable(value, 'm')} taken by {source}: {words}", flush=True)
     if not client.until(lambda: {"ready", "ended"} & told(number).keys()):
         print(f"not ready within {client.timeout:g} s (--timeout)", flush=True)
