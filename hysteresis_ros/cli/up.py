@@ -115,7 +115,8 @@ def up(
     A stage may follow a scan, as in `hysteresis simulate`: `hysteresis up xy_scanner --scan raster width=20um
     depth=20um lines=32 line_rate=5Hz`.
 
-    Exit code 0: after --duration or Ctrl-C; 1: a node has died; 2: wrong input.
+    Exit code 0: after --duration or Ctrl-C; 1: a node has died, or the device of a recorded axis has failed and is not
+    started again; 2: wrong input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -169,12 +170,14 @@ def up(
     with graph, pages or contextlib.nullcontext():
         ended = graph.wait(lambda: bool(requested) or (pages is not None and pages.over()))
         click.echo("the run ended" if ended else "stopping")
-    _say_limited(graph)
+    failed = _look_at_runs(graph)
     _say_recorded(graph)
     if pages is not None and pages.exit_code():
         sys.exit(pages.exit_code())
     if verify:
         _verify(graph)
+    if failed:
+        sys.exit(1)
 
 
 def _stage(configuration, faults, namespace: str | None, asked: bool, duration: float | None):
@@ -245,22 +248,35 @@ def _what_runs(axis, composed: bool) -> str:
 LOOKED_AT = 300_000_000
 
 
-def _say_limited(graph) -> None:
-    """Warn of a recorded run whose output was saturated for a noticeable time."""
+def _look_at_runs(graph) -> bool:
+    """Warn of outputs that were saturated for a noticeable time; return whether a device had failed at the end."""
+    import numpy as np
+
     from hysteresis_ros.analysis.metrics import limited_text
     from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.loop.plant import DEVICE_FAILED
     from hysteresis_ros.recordings.align import read_recording
 
+    failed = False
     bags = graph.bags * len(graph.axes) if graph.stage is not None else graph.bags
     for axis, bag in zip(graph.axes, bags, strict=False):
         if sum(path.stat().st_size for path in pathlib.Path(bag).rglob("*")) > LOOKED_AT:
             continue
         try:
-            limited = limited_text(read_recording(bag, axis.namespace, further=True))
+            run = read_recording(bag, axis.namespace, further=True)
         except HysteresisError:
             continue  # errors of the bag are reported below, or by the reader of the bag
+        name = f"{axis.namespace}: " if axis.namespace else ""
+        limited = limited_text(run)
         if limited:
-            click.echo(f"hysteresis: warning: {axis.namespace}{': ' if axis.namespace else ''}{limited}", err=True)
+            click.echo(f"hysteresis: warning: {name}{limited}", err=True)
+        broken = run["tripped"] == DEVICE_FAILED if run.has("tripped") else np.zeros(len(run), bool)
+        if broken[-1]:
+            first = len(run) - int(np.argmin(broken[::-1])) if not broken.all() else 0
+            when = f"{run.time[first] - run.time[0]:.4g} s"
+            click.echo(f"hysteresis: {name}the device failed at {when}; the axis was stopped until the end", err=True)
+            failed = True
+    return failed
 
 
 def _say_recorded(graph) -> None:

@@ -82,13 +82,15 @@ def test_a_stage_that_dies_is_named_and_the_axis_stays_stopped(processes, observ
     with running_stage(*PATIENT) as stage:
         joints = observer.listen(JointState, "/joint_states")
         reports = observer.listen(DiagnosticArray, "/diagnostics")
-        up = processes.command("up", written(tmp_path, stage.name), "--fused")
+        recorded = ("--record", str(tmp_path / "bag"))
+        up = processes.command("up", written(tmp_path, stage.name), "--fused", *recorded)
         until(lambda: joints, what="the axis")
         stage.process.kill()
         until(lambda: joints[-1].header.frame_id == "tripped", what="the axis to stop")
         until(lambda: (diagnostics(reports, "/plant_simulator") or [0])[0] == 2)
         assert f"the process of stage {stage.name} has died" in diagnostics(reports, "/plant_simulator")[1]
-        assert up.leave(signal.SIGINT)[0] == 0
+        assert up.leave(signal.SIGINT)[0] == 1
+        assert re.search(r"the device failed at \S+ s; the axis was stopped until the end", up.output)
 
 
 def test_a_stage_without_its_process_is_refused(processes, tmp_path):
