@@ -22,35 +22,20 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose, until, write_axis  # noqa: E402
-from rclpy.serialization import deserialize_message  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
 from steered_support import COMPENSATOR, CONTROLLER, PLANT, Steered  # noqa: E402
 
 from hysteresis_ros.models.block import COMPILED  # noqa: E402
-from hysteresis_ros.recordings.align import read_recording  # noqa: E402
-from hysteresis_ros.recordings.bag_reader import read_bag  # noqa: E402
-from hysteresis_ros.recordings.triggers import triggers_of  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for these axes")
 
 
-@pytest.mark.parametrize(("config", "factor", "duration"), [("kim2009", 1.0, 1.0), ("inchworm_travel", 1.0, 1.0)])
-def test_a_recorded_run_in_real_time_equals_the_offline_twin(processes, tmp_path, config, factor, duration):
-    asked = ("--factor", f"{factor}", "--duration", f"{duration}", "--record", str(tmp_path / "bag"), "--verify")
-    scan = ("--reference", "triangle", "--frequency", "10Hz", "--amplitude", "8um", "--offset", "1um")
-    scan += ("--trigger", "start=2um", "--trigger", "step=1um", "--trigger", "stop=8um")
-    run = processes.command("up", config, "--fused", *asked, *(scan if config == "kim2009" else ()))
-    assert run.wait(300.0) == 0, run.output  # the first one compiles the loop with triggers
-    samples = round(duration * (3000 if config == "kim2009" else 10000))
-    assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
+@pytest.mark.parametrize(("config", "rate"), [("kim2009", 3000), ("inchworm_travel", 10000)])
+def test_a_recorded_run_in_real_time_equals_the_offline_twin(processes, tmp_path, config, rate):
+    asked = ("--duration", "1", "--record", str(tmp_path / "bag"), "--verify")
+    run = processes.command("up", config, "--fused", *asked)
+    assert run.wait(300.0) == 0, run.output
+    assert f"{rate} samples equal the offline twin bit for bit, none missing" in run.output
     assert not re.search("Traceback|died", run.output)
-    if config == "kim2009":  # seven positions in each half of a period, published as they are in the samples
-        found = triggers_of(read_recording(tmp_path / "bag"))
-        stored = read_bag(tmp_path / "bag").topics["/trigger_out"].data
-        messages = [deserialize_message(data, JointState) for data in stored]
-        assert len(messages) == found.sample.size > 50 and found.lost == 0
-        assert [message.position[1] for message in messages] == list(found.position)
-        assert set(found.direction) == {-1.0, 1.0}
 
 
 def test_a_rate_that_this_machine_does_not_hold_is_refused_with_the_figure_and_nothing_moves(processes):

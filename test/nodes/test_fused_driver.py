@@ -22,6 +22,8 @@ from nodes_support import diagnostics, until  # noqa: E402
 from stage_support import built, listed_library, needs_compiler, running_stage  # noqa: E402
 
 from hysteresis_ros.recordings.align import read_recording  # noqa: E402
+from hysteresis_ros.recordings.bag_reader import read_bag  # noqa: E402
+from hysteresis_ros.recordings.triggers import triggers_of  # noqa: E402
 
 pytestmark = needs_compiler
 
@@ -73,6 +75,27 @@ def test_setpoints_move_the_stage_and_the_recording_verifies_bit_for_bit(process
         until(lambda: abs(joints[-1].position[0] - 4.75e-6) < 2e-8, what="the stage where 50 V bring it")
         code, _ = up.leave(signal.SIGINT)
         assert code == 0 and "equal" in up.output, up.output
+
+
+def test_triggers_are_published_as_they_are_in_the_samples(processes, tmp_path):
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import JointState
+
+    scan = ("--reference", "triangle", "--frequency", "4Hz", "--amplitude", "8um", "--offset", "1um")
+    scan += ("--trigger", "start=2um", "--trigger", "step=1um", "--trigger", "stop=8um")
+    with running_stage(*PATIENT) as stage:
+        asked = ("--duration", "1", "--record", str(tmp_path / "bag"), "--verify")
+        run = processes.command("up", written(tmp_path, stage.name), "--fused", *asked, *scan)
+        assert run.wait(300.0) == 0, run.output
+    # seven positions in each half of a period
+    recorded = read_recording(tmp_path / "bag")
+    found = triggers_of(recorded)
+    stored = read_bag(tmp_path / "bag").topics["/trigger_out"].data
+    messages = [deserialize_message(data, JointState) for data in stored]
+    assert len(messages) == found.sample.size > 30
+    assert found.lost == 0 or recorded["skipped"].any()
+    assert [message.position[1] for message in messages] == list(found.position)
+    assert set(found.direction) == {-1.0, 1.0}
 
 
 def test_a_stage_that_dies_is_named_and_the_axis_stays_stopped(processes, observer, tmp_path):
