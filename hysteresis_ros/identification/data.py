@@ -337,8 +337,8 @@ def clipped_samples(values, driver=None) -> np.ndarray:
 
     A run of at least three equal samples at the extreme counts as clipped if it is many times longer than the runs just
     before and after it. With a ``driver`` (the input that causes this output), only runs during which the driver moves
-    count, because an output may be constant while its input is constant. Without a driver, a signal that rests at many
-    levels (steps) does not count as clipped.
+    count, because an output may be constant while its input is constant. Without a driver, rest at the beginning or the
+    end, and a signal that rests at many levels (steps), do not count as clipped.
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -354,6 +354,8 @@ def clipped_samples(values, driver=None) -> np.ndarray:
             span = 1e-3 * np.ptp(driver)
             for i in np.flatnonzero(long):
                 long[i] = np.ptp(driver[starts[i] : starts[i] + lengths[i]]) > span
+        else:
+            long[[0, -1]] = False
         if not long.any():
             continue
         longest = int(np.argmax(np.where(long, lengths, 0)))
@@ -417,17 +419,12 @@ def _check_delay(u, y, sample_time):
 
 
 def _check_drift(time, u, y, unit):
-    """Return drift and findings; drift: linear term in time of a fit of y to the input, its direction, and time."""
-    scaled = (u - u.mean()) / np.ptp(u)
-    smooth = np.gradient(scaled)
-    direction = smooth / (np.max(np.abs(smooth)) or 1.0)
-    progress = np.linspace(-0.5, 0.5, u.size) if np.ptp(time) == 0 else (time - time.mean()) / np.ptp(time)
-    table = np.column_stack([np.ones(u.size), scaled, scaled**2, scaled**3, direction, direction * scaled**2, progress])
-    solution, *_ = np.linalg.lstsq(table, y, rcond=None)
-    drift, stroke = float(solution[-1]), float(np.ptp(y))
-    monotone = abs(np.corrcoef(scaled, progress)[0, 1]) > 0.95
-    if monotone or abs(drift) <= DRIFT_SHARE * stroke:
-        return (0.0 if monotone else drift), []
+    """Return the drift over the data (NaN: not known), and findings."""
+    from hysteresis_ros.identification.drift import drift_beside_loops  # its plays belong to a module that reads data
+
+    drift, stroke = drift_beside_loops(time, u, y), float(np.ptp(y))
+    if not abs(drift) > DRIFT_SHARE * stroke:
+        return drift, []
     text = f"the output drifts by {readable(drift, unit)} ({100 * drift / stroke:.2g} % of stroke) over the data"
     return drift, [Finding("drift", "warning", f"{text}: creep, temperature or a transient at the start")]
 

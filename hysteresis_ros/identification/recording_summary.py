@@ -219,7 +219,7 @@ def summarise(data: IdentificationData, report: DataReport | None = None) -> Rec
         ("direction", _direction(data, turn, gain)),
         ("shape", ", ".join((f"loops up to {width:.2g} % of the stroke wide", *shapes))),
         ("saturation", _saturation(data, report, saturation)),
-        ("drift", f"{readable(report.drift, moved)} over the recording" if np.isfinite(report.drift) else "not known"),
+        ("drift", _drift(report.drift, moved)),
         ("repetition", _repetition(u, turns)),
         ("content", _content(data)),
     ]  # fmt: skip
@@ -232,6 +232,12 @@ def _span(values, unit: str) -> str:
 
 def _found(report: DataReport, check: str) -> str:
     return "; ".join(item.message for item in report.findings if item.check == check)
+
+
+def _drift(drift: float, unit: str) -> str:
+    if np.isnan(drift):
+        return "not known before the fit: the size of the loops changes all the time"
+    return f"{readable(drift, unit)} over the recording" if drift else "none seen"
 
 
 def _direction(data: IdentificationData, turn: float | None, gain: SlowGain) -> str:
@@ -262,7 +268,8 @@ def _saturation(data: IdentificationData, report: DataReport, ends) -> str:
     words = []
     for role, share in (("input", report.clipped_input), ("output", report.clipped_output)):
         if share > 0.0:
-            words.append(f"{role} clipped in {100.0 * share:.2g} % of the samples (left out of the fit)")
+            omitted = " (left out of the fit)" if role == "output" else ""
+            words.append(f"{role} clipped in {100.0 * share:.2g} % of the samples{omitted}")
     for side, end in zip(("below", "above"), ends, strict=True):
         if end is not None:
             words.append(f"the output stays level {side} an input of {readable(end, data.input_unit)}")

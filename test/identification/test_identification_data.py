@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import hysteresis_ros as hr
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.identification.data import (
     DataError,
@@ -182,6 +183,7 @@ def test_steps_holds_and_coarse_sensors_are_not_clipped():
     assert clipped_share(steps) == 0.0
     assert clipped_share(2e-6 * steps, steps) == 0.0
     assert clipped_share(np.round(DISPLACEMENT / 0.2e-6) * 0.2e-6, VOLTAGE) == 0.0
+    assert clipped_share(np.append(bursts(100, 80, 60), np.zeros(300))) == 0.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.012, 0.05, 0.2])
@@ -199,6 +201,30 @@ def test_drift_is_told_from_the_input():
     report = check_data(TIME, VOLTAGE, DISPLACEMENT + 2e-6 * TIME / TIME[-1])
     assert checks(report, "warning") == ["drift"]
     assert report.drift == pytest.approx(2e-6, rel=0.02)
+
+
+def bursts(*heights: float, samples: int = 500) -> np.ndarray:
+    """Bursts from 0 V to each height, after a rest."""
+    one = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(samples) / samples)
+    return np.concatenate([np.zeros(200), *(height * one for height in heights)])
+
+
+@pytest.mark.parametrize("model", ["PrandtlIshlinskii", "BoucWen", "Preisach", "Duhem", "GeneralisedPlay"])
+def test_hysteresis_is_no_drift(model):
+    """Loops of all sizes, and loops whose size changes all the time: there a drift cannot be told from them."""
+    rng = np.random.default_rng(1)
+    for heights, known in (((100, 50, 100, 20, 80, 60, 30, 100), True), ((20, 40, 60, 80, 100, 100), False)):
+        v = bursts(*heights)
+        y = getattr(hr.models, model).example().simulate(v)
+        stroke, time = np.ptp(y), 1e-3 * np.arange(v.size)
+        y += rng.normal(0.0, 5e-4 * stroke, v.size)
+        still, moving = (check_data(time, v, y + part * stroke * time / time[-1]) for part in (0.0, 0.05))
+        assert "drift" not in checks(still, "warning")
+        if known:
+            assert "drift" in checks(moving, "warning")
+            assert moving.drift == pytest.approx(0.05 * stroke, rel=0.2)
+        else:
+            assert np.isnan(still.drift) and np.isnan(moving.drift)
 
 
 def test_reversals_of_noise_do_not_count():
