@@ -148,6 +148,9 @@ SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
 #: Sample points of a branch parabola for the fit of quadratics of V_max, as a fraction of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+#: A rest of the first rise after an omitted beginning is left out if it is at most this fraction of the range: it would
+#: extrapolate the virgin curve over the rest of the range.
+SHORT_RISE = 0.2
 #: Lowest allowed voltage, as a fraction of the highest voltage (negative: below 0 V); below it the model has no
 #: branches.
 LOWEST_PART = -0.35
@@ -319,6 +322,9 @@ def identify_polynomial(
     branches = split_branches(voltage / v_unit, reversal)
     require_both_directions(branches, "loop model")
 
+    if len(path) > len(voltage):
+        late = _end_of_first_rise(v, path.size - voltage.size)
+        recorded, x = slice(late, None), x[late - path.size :]
     loops, virgin = loop_table(v[recorded], x, branches)
     count, warnings = _free_numbers(v, voltage, reversal)
     basis = _basis(count)
@@ -354,6 +360,18 @@ def identify_polynomial(
         converged=converged,
         warnings=tuple(warnings),
     )
+
+
+def _end_of_first_rise(path, first: int) -> int:
+    """Return the sample from which the recording counts, ``first`` or the end of a short rest of the first rise.
+
+    Units: ``path`` [fraction of the highest voltage].
+    """
+    later = path[first:]
+    lower = np.flatnonzero(later < later[0] - DIFFERENT_PEAKS)
+    turn = int(np.argmax(later[: lower[0]] if lower.size else later))
+    rises = later[0] >= np.max(path[: first + 1])
+    return first + turn if rises and later[turn] - later[0] <= SHORT_RISE else first
 
 
 def _check_request(voltage, method: str, criterion: str) -> None:

@@ -60,6 +60,7 @@ from hysteresis_ros.identification.separation import (
     RESTED,
     Separated,
     Start,
+    begins_at_zero,
     find_start,
     remembered,
     rests_behind,
@@ -197,15 +198,34 @@ POLYNOMIAL_FREE = 9
 
 def polynomial(data: IdentificationData, request: Request) -> Identification:
     """Fit branch polynomials to data without the lag."""
-    static = separated(data, request)
 
     def fit(other: Separated, _):
         return identify_polynomial(other.voltage, other.displacement, history=other.history, **request.options)
 
+    static = _from_rest(separated(data, request), request, fit)
     found, static = remembered(static, fit, lambda found: PolynomialHysteresis(found.parameters, data.sample_time))
     hysteresis = HysteresisParameters(type="polynomial", polynomial=found.parameters)
     fitted = FittedHysteresis(hysteresis, POLYNOMIAL_FREE, warnings=found.warnings, converged=found.converged)
     return static_result(data, request, fitted, static)
+
+
+def _from_rest(static: Separated, request: Request, fit) -> Separated:
+    """Return the separation with the first rise, unless the later samples are fitted clearly better without it.
+
+    Only the first rise shows the virgin curve. The trial models of the separation have no virgin curve of their own,
+    so they omit a first rise that this model explains.
+    """
+    start, data = static.start, static.cleaned.data
+    asked = request.skip is not None or request.initial is not None
+    if asked or start.kind != "zero" or not start.skip or not begins_at_zero(data.input):
+        return static
+    rested = replace(static, start=RESTED)
+
+    def later_error(other: Separated) -> float:
+        block = PolynomialHysteresis(fit(other, None).parameters, data.sample_time)
+        return float(np.std((block.simulate(data.input) - static.output)[start.skip :]))
+
+    return static if PAST_WHILE_FITTING.improves(later_error(static), later_error(rested)) else rested
 
 
 def bouc_wen(data: IdentificationData, request: Request) -> Identification:

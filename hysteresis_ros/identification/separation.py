@@ -181,14 +181,16 @@ class _PastTrials:
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
     def at_rest(self, first: int) -> bool:
-        """Whether a model that starts at rest at 0 V fits the samples before ``first``.
+        """Whether the recording begins at 0 V, and a model that starts at rest fits the samples before ``first``.
 
-        True if it fits these samples about as well as the later samples, or to within AT_REST of the stroke.
+        It fits if their error is about that of the later samples, or below AT_REST of the stroke.
         """
+        if first == 0:
+            return True
+        if not begins_at_zero(self.data.input):
+            return False
         error = self.error()
-        return first == 0 or _trimmed(error[:first]) <= max(
-            AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
-        )
+        return _trimmed(error[:first]) <= max(AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke)
 
     def begins_at_rest(self, first: int, part: LinearPart | None = None) -> bool:
         """Whether a start at rest at 0 V explains the samples before ``first``, which would otherwise be omitted.
@@ -207,7 +209,7 @@ class _PastTrials:
             error = self.error(part=part)
             return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(self.error(alone, part))
         voltage = self.data.input
-        if abs(voltage[0]) > CLOSED_PART * np.ptp(voltage):
+        if not begins_at_zero(voltage):
             return False
         lag, largest, bipolar = part or _lag(self.condensed(alone)), *self._largest()
         error = self.error(part=lag)
@@ -237,6 +239,11 @@ class _PastTrials:
             if found[1] >= rest:
                 break
         return found
+
+
+def begins_at_zero(voltage) -> bool:
+    """Return whether the first voltage is 0 V, within CLOSED_PART of the range; ``voltage`` [V]."""
+    return bool(abs(voltage[0]) <= CLOSED_PART * np.ptp(voltage))
 
 
 def _after(voltage: float, first: float) -> Start:

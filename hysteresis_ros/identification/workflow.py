@@ -468,11 +468,11 @@ def _finished(
     found, back, figures, judged = judge(result.chain, still, shown, skip=skip, free_offset=free, fitted=fitted)
     figures = {**figures, "noise_rms_m": white_noise(data.output - predicted - drift) * np.sqrt(data.factor)}
     notes = [*read, *result.warnings, *model_warnings(result), *judged, *modes_at_bounds(result.chain.linear_part)]
-    if result.skipped and "predicted_rmse_m" in result.numbers:
-        omitted, expected = (still.output - predicted)[: result.skipped], result.numbers["predicted_rmse_m"]
+    if result.skipped:
+        omitted = (still.output - predicted)[: result.skipped] - (found.offset if free else 0.0)
         beginning = float(np.sqrt(np.mean(omitted**2)))
+        notes += _beginning_notes(data, beginning, result.numbers.get("predicted_rmse_m"), found.rmse)
         result = replace(result, numbers={**result.numbers, "beginning_rmse_m": beginning})
-        notes += _beginning_notes(data, beginning, expected)
     notes += () if free else zero_warnings(data, result.chain)
     if found.rmse_percent_of_stroke > LEFT:
         notes.append(
@@ -499,12 +499,18 @@ def _finished(
     return Identified(**vars(compared), identification=result, text=text, response=checked)
 
 
-def _beginning_notes(data: IdentificationData, beginning: float, expected: float) -> tuple[str, ...]:
-    """Return a warning if the RMS error in the omitted beginning [m] is far above the predicted one [m]."""
+def _beginning_notes(
+    data: IdentificationData, beginning: float, predicted: float | None, rmse: float
+) -> tuple[str, ...]:
+    """Return a warning if the RMS error in the omitted beginning is far above the predicted one, or that of the fit.
+
+    Units: all errors [m].
+    """
+    expected, name = (predicted, "predicted error") if predicted else (rmse, "RMS error of the fit")
     if beginning <= BEGINNING * expected:
         return ()
     text = (
-        f"the predicted error of {readable(expected, 'm')} holds after the voltage has been near both ends of its "
+        f"the {name} of {readable(expected, 'm')} holds after the voltage has been near both ends of its "
         f"range; before, in the omitted beginning of this recording, the error is {readable(beginning, 'm')} RMS"
     )
     if abs(data.input[0]) <= AT_ZERO * np.ptp(data.input):

@@ -82,6 +82,16 @@ def test_history_before_the_recording():
     assert result.rms < 1e-12
 
 
+def test_a_rest_of_the_first_rise_does_not_extrapolate_the_virgin_curve():
+    voltage = triangles([120.0, 120.0, 80.0], 200)
+    omitted = int(np.argmax(voltage >= 114.0))
+    x = displaced(voltage) + 5e-9 * np.random.default_rng(2).standard_normal(voltage.size)
+    result = identify_polynomial(voltage[omitted:], x[omitted:], history=voltage[:omitted])
+    virgin = result.parameters.virgin
+    assert virgin[0] == pytest.approx(displaced(voltage)[np.argmin(voltage[200:500]) + 200], abs=20e-9)
+    assert abs(virgin[2]) * 120.0 < 1e-3 * virgin[1] and result.rms < 6e-9
+
+
 def test_sensor_offset_goes_to_the_constant_terms():
     voltage = triangles(KIM_PEAKS, 40)
     result = identify_polynomial(voltage, displaced(voltage) - 3e-6)

@@ -35,6 +35,7 @@ from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.laboratory.benchmark.synthetic import synthetic_task
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 from hysteresis_ros.units import readable
 
@@ -427,3 +428,44 @@ def test_a_recording_from_rest_that_is_fitted_from_its_beginning_has_no_such_war
     assert found.figures.get("skipped", 0) == 0
     assert np.std(found.predicted - recorded(DECAYING)) < 10e-9
     assert "beginning_rmse_m" not in found.figures and not any("near both ends" in text for text in found.warnings)
+
+
+@pytest.mark.slow
+def test_an_omitted_beginning_is_compared_without_the_constant_of_a_free_offset():
+    history, v = (40.0, 0.0), DECAYING
+    y = recorded(v, history)
+    found = identify(data(v, y + 123e-6), linear="lag", offset="free")
+    skipped, offset = found.figures["skipped"], found.figures["offset_m"]
+    assert offset == pytest.approx(123e-6, abs=1e-6)
+    beginning = np.sqrt(np.mean((found.data.output - found.predicted - offset)[:skipped] ** 2))
+    assert found.figures["beginning_rmse_m"] == pytest.approx(beginning, rel=1e-9) and beginning < 1e-6
+
+
+def bursts(*heights):
+    """Bursts from 0 V after a rest."""
+    one = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(300) / 300)
+    return np.concatenate([np.zeros(100), *(height * one for height in heights)])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_virgin_curve_of_polynomials_comes_from_the_first_rise(seed):
+    v = bursts(100, 100, 80, 60, 40)
+    y = PolynomialHysteresis(assumed_stack(voltage_low=0.0), T).simulate(v)
+    noise = 5e-9 * np.random.default_rng(seed).standard_normal(v.size)
+    found = identify(data(v, y + noise), "polynomial", linear="none")
+    assert "at rest at 0 V" in found.figures["start"]
+    assert np.max(np.abs(found.predicted - y)) < 5e-9
+
+
+def test_polynomials_without_a_first_rise_have_a_straight_virgin_curve():
+    """The rest of a rise would extrapolate it; with an omitted beginning it is straight, and a warning says so."""
+    v = bursts(100, 100, 80, 60, 40)[175:]  # from 50 V on the first rise, after remanence by 100 V
+    y = PolynomialHysteresis(assumed_stack(voltage_low=0.0), T).simulate(np.concatenate([loops(100.0), v]))[-v.size :]
+    noise = 5e-9 * np.random.default_rng(1).standard_normal(v.size)
+    found = identify(data(v, y + noise), "polynomial", linear="none")
+    skipped = found.figures["skipped"]
+    assert skipped > 0 and "omitted" in found.figures["start"]
+    assert np.max(np.abs((found.predicted - y)[skipped:])) < 20e-9
+    virgin = found.parameters.virgin
+    assert abs(virgin[2]) * 100.0**2 < 1e-3 * abs(virgin[1]) * 100.0
+    assert any("the virgin curve is straight" in text for text in found.warnings)
