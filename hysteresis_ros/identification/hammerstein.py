@@ -56,8 +56,13 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Largest lag and delay, as fractions of the mean time between two reversals; largest creep rate per decade.
-LONGEST_LAG = 0.6
+#: Largest lag and delay, as fractions of the slow half cycle; first ones of a search, as fractions of the mean half
+#: cycle; largest creep rate per decade.
+LONGEST_LAG, FIRST_LAG, FIRST_DELAY = 0.6, 0.12, 0.03
+#: Part of the power of a voltage that is slower than its slow half cycle.
+SLOW_PART = 0.1
+#: A value lies at an end of its range if its distance is below this fraction of the range.
+AT_END = 1e-4
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
 #: Step of the derivatives as a fraction of a parameter, and smallest step as a fraction of the parameter's range.
@@ -182,11 +187,11 @@ class PartSearch:
     def __init__(self, solve, data: Condensed, extra: tuple, progress, slopes=None):
         self.solve, self.data, self.extra, self.progress, self.slopes = solve, data, extra, progress, slopes
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
-        longest = LONGEST_LAG * half_cycle
+        longest = LONGEST_LAG * max(half_cycle, _slow_half_cycle(data))
         #: For each part the name of its parameter, initial value, and ends of the range.
         self.ranges = {
-            "lag": ("lag", 0.2 * longest, 0.0, longest),
-            "delay": ("delay", 0.05 * longest, 0.0, longest),
+            "lag": ("lag", FIRST_LAG * half_cycle, 0.0, longest),
+            "delay": ("delay", FIRST_DELAY * half_cycle, 0.0, longest),
             "creep": ("creep_rate", 0.01, 0.0, LARGEST_RATE),
         }
         self.calls = 0
@@ -238,11 +243,18 @@ class PartSearch:
     def at_ends(self, parts, values: dict):
         """Yield a warning for each number that lies at an end of its range."""
         for name, _, low, high in [*self.extra, *(self.ranges[part] for part in parts)]:
-            if min(values[name] - low, high - values[name]) < 1e-4 * (high - low) and name != "delay":
+            if min(values[name] - low, high - values[name]) < AT_END * (high - low) and name != "delay":
                 yield (
                     f"{name} = {values[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}: the data does "
                     "not determine it"
                 )
+
+
+def _slow_half_cycle(data: Condensed) -> float:
+    """Return the half cycle [s] of the frequency below which SLOW_PART of the voltage's power lies."""
+    power = np.cumsum(np.abs(np.fft.rfft(data.voltage - np.mean(data.voltage))) ** 2)
+    line = max(int(np.searchsorted(power, SLOW_PART * power[-1])), 1)
+    return 0.5 * data.sample_time * len(data.voltage) / line
 
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
