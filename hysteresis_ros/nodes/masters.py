@@ -45,6 +45,8 @@ from hysteresis_ros.nodes.domain import is_name, named, reaches_others
 CLAIM_PATIENCE = 5.0
 #: Interval between two attempts to claim a node [s].
 CLAIM_LOOK = 0.1
+#: Part of the message of a refused claim, by which the campaign recognises it.
+RUNS_ONCE = "an axis runs each node once"
 
 
 def _address(domain: int, name: str) -> bytes:
@@ -91,8 +93,8 @@ def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.so
         time.sleep(CLAIM_LOOK)
     owner = holder(domain, name) or "a process of this machine"
     raise HysteresisError(
-        f"{name} already runs in ROS domain {domain}: {owner}; an axis runs each node once: stop the other one, or "
-        "give this axis another namespace or ROS_DOMAIN_ID"
+        f"{name} already runs in ROS domain {domain}: {owner}; {RUNS_ONCE}: stop the other one, or give this "
+        "axis another namespace or ROS_DOMAIN_ID"
     )
 
 

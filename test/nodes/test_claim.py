@@ -23,6 +23,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.laboratory.campaign import actions  # noqa: E402
 from hysteresis_ros.nodes.masters import claim, holder  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="claims are Linux's")
@@ -41,6 +42,12 @@ def test_a_claim_holds_for_one_name_of_one_domain_until_it_is_closed(domain):
     first.close()
     claim(domain, "/left/plant_simulator", patience=0.0).close()
     assert holder(domain, "/left/plant_simulator") == ""
+
+
+def test_the_fault_case_of_a_second_graph_recognises_the_message_of_a_refused_claim(domain):
+    with claim(domain, "/left/plant_simulator"), pytest.raises(HysteresisError) as refused:
+        claim(domain, "/left/plant_simulator", patience=0.0)
+    assert str(refused.value).count(actions.RUNS_ONCE) == 1
 
 
 def test_a_second_node_of_one_name_is_refused_and_one_that_follows_a_killed_one_is_not(processes, tmp_path):

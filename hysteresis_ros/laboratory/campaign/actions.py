@@ -35,6 +35,7 @@ from hysteresis_ros.laboratory.campaign.rig import AXIS, RECORDER, ROOM, START, 
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import PARTNER_LOST
 from hysteresis_ros.nodes.launcher import node_environment, started
+from hysteresis_ros.nodes.masters import RUNS_ONCE
 from hysteresis_ros.nodes.realtime import STARTING
 from hysteresis_ros.recordings.align import read_recording
 
@@ -236,8 +237,8 @@ LONG, TURN = 3.0, 1e-3
 STEADY = 50
 #: Largest command of a second sender, in strokes.
 COMMANDED = 3.0
-#: Exit code and message of nodes that find other nodes with the same names.
-REFUSED, ONE_MASTER = 2, "one axis has one master"
+#: Exit code of nodes that find other nodes with the same names; their message contains RUNS_ONCE.
+REFUSED = 2
 #: Values that are invalid for every numerical parameter.
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
@@ -296,7 +297,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
         refused, said = second.codes(), second.printed()
     finally:
         second.close()
-    if set(refused) != {REFUSED} or said.count(ONE_MASTER) != len(refused):
+    if set(refused) != {REFUSED} or said.count(RUNS_ONCE) != len(refused):
         rig.broken.append(f"a second graph ended with exit codes {refused}: {' '.join(said.split())[-200:]}")
 
 
