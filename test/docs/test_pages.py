@@ -69,14 +69,15 @@ def test_tables_of_the_site_break_long_words_beside_both_side_bars():
     assert int(wide) <= 1400
 
 
-def test_the_index_of_decisions_names_each_one_under_its_group():
+def test_the_index_of_decisions_has_the_title_of_each_one_under_its_group():
     text = (DOCS / "decisions.md").read_text(encoding="utf-8")
     index, *groups = re.split(r"\n## ", text)
     for group in groups:
         name = group.split("\n", 1)[0]
-        (entry,) = (line for line in index.splitlines() if line.startswith(f"- [{name}]"))
-        for decision in re.findall(r"^\*\*(.+?)\*\*", group, re.MULTILINE | re.DOTALL):
-            assert decision.rstrip(".,:").replace("\n", " ") in entry, f"{name}: {decision}"
+        (entry,) = re.findall(rf"^- \[{name}\]\(#.+\)\n((?:  - .+\n)+)", f"{index}\n", re.MULTILINE)
+        titles = [f"{line.removeprefix('  - ')}." for line in entry.splitlines()]
+        decisions = re.findall(r"^\*\*(.+?)\*\*", group, re.MULTILINE | re.DOTALL)
+        assert titles == [decision.replace("\n", " ") for decision in decisions], name
 
 
 def test_a_page_that_no_list_names_comes_into_the_last_one(pages, tmp_path):
