@@ -870,7 +870,8 @@ def identify(
         ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
         Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
-        ``generalised_play`` if it predicts held-out data better; ``auto``: the best of all models.
+        ``generalised_play`` or (after a poor fit) ``preisach`` if it predicts held-out data better; ``auto``: the best
+        of all models.
     columns : Columns or StageColumns, optional
         Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``. With
         ``hr.StageColumns()`` several inputs and outputs, from one file or several, are identified as a stage.

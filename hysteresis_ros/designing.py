@@ -204,9 +204,7 @@ def design_learning(
     """
     if learning not in KINDS:
         there = ", ".join(sorted(KINDS))
-        raise ConfigurationError(
-            f"learning '{learning}' does not exist; there are: {there}{did_you_mean(learning, KINDS)}"
-        )
+        raise ConfigurationError(f"learning = '{learning}': must be one of {there}{did_you_mean(learning, KINDS)}")
     configuration = _written(configuration_of(config), namespace)
     axis = single_axis(configuration, namespace)
     request = LearningRequest(learning, period, bandwidth, maximum)

@@ -37,7 +37,7 @@ SUBUNITS = {
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
-    # a temperature in degC differs from one in K by more than a factor, so it is not converted
+    # degC to K needs an offset, not only a factor, so it is not converted
     **{unit: (unit, 1.0) for unit in ("degC", "T", "Nm")},
     "mm/s": ("m/s", 1e3),
     "um/s": ("m/s", 1e6),

@@ -486,7 +486,9 @@ def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
     found: dict = {name: max(one[name] for one in each) for name in ("overshoot_percent", "steady_state_error_m")}
     found["steps"], unsettled = (sum(one[name] for one in each) for name in ("steps", "unsettled"))
     if unsettled:
-        notes["settling_time_s"] = f"{unsettled} of {found['steps']} steps do not stay within 2 % before the hold ends"
+        notes["settling_time_s"] = (
+            f"{unsettled} of {found['steps']} steps do not settle within 2 % before the hold ends"
+        )
     else:
         found["settling_time_s"] = max(one["settling_time_s"] for one in each)
     return found

@@ -478,7 +478,7 @@ def format_scan(figures: dict) -> str:
 
 
 def plane_plots(run: InPlane) -> Iterable[tuple[str, object]]:
-    """Yield captions and figures of a run in its plane; the map is included only if both axes move."""
+    """Yield captions and charts of a run in the plane; the error map only if both axes move."""
     yield "Path in the plane, coloured by the error", path_figure(run)
     if np.min(np.ptp(run.reference[:2, run.counted], axis=1)) > LEAST_MAP:
         yield "Map of the error in the plane", map_figure(run)

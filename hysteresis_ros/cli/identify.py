@@ -50,8 +50,8 @@ class FitState:
     "--model",
     default="usual",
     show_default=True,
-    help="Model, see `hysteresis models`; chosen on held-out data: usual from prandtl_ishlinskii and generalised_play, "
-    "auto from all models.",
+    help="Model, see `hysteresis models`. By the error on held-out data, usual chooses from prandtl_ishlinskii, "
+    "generalised_play and (after a poor fit) preisach, auto from all models.",
 )
 @click.option(
     "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."

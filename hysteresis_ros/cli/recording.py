@@ -83,7 +83,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
 
 
 def _scanned(run, axes, output, title: str, json_path: str | None, part) -> bool:
-    """Evaluate the run of a stage that follows a scan, in the plane; return False for any other run."""
+    """Evaluate the scan of a stage in the plane; return False if the run does not follow a scan."""
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures, write_scan_report
     from hysteresis_ros.analysis.side_by_side import report_several
     from hysteresis_ros.api import scan_run

@@ -87,7 +87,8 @@ class SlidingModeParameters(Parameters):
         (),
         low=-1.0,
         high=1.0,
-        description="Real parts of the poles of the sliding motion: one fewer than states (the integral counts as one)",
+        description="Real parts of the poles of the sliding motion; their number is that of the states (including the "
+        "integral) minus one",
     )
     poles_imaginary: tuple[float, ...] = parameter(
         (),
@@ -393,7 +394,7 @@ class SlidingController(Controller):
     ----------
     parameters : ControllerParameters
     sample_time : float
-        Sample time [s]; the model is discrete at this time.
+        Sample time [s] of the discrete model.
     """
 
     predicts = True

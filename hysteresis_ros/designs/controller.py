@@ -145,7 +145,7 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == full.rsplit("/", 1)[-1] and matches(pattern, full)
 
 
-#: Maximum number of halvings of the bandwidth, and number of steps of the search that then raises it again.
+#: Maximum number of halvings of the bandwidth, and number of bisections between the last two values.
 HALVINGS, RAISED = 18, 3
 #: Variances of the input noise that are tried for a slower observer, relative to the measurement noise.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
@@ -206,8 +206,8 @@ def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertaint
 #: Number of corners of a roll-off per decade; decades of corners below half the sample rate; steps of the search for
 #: the gain at each corner.
 CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
-#: A roll-off is used if it raises the gain of the integral by at least the factor WORTH. A requested bandwidth is
-#: reached if the achieved bandwidth is at least the fraction REACHED of it.
+#: A roll-off is used if it raises the bandwidth, or the integral gain of an uncertain PID, by at least the factor
+#: WORTH. A requested bandwidth is reached if the achieved bandwidth is at least the fraction REACHED of it.
 WORTH, REACHED = 1.1, 0.97
 
 
@@ -332,7 +332,7 @@ def certain_design(
         if first.parameters.type == "pid" and (slower is None or asked is None):
             rolled = rolled_off_design(first, quiet, response, sample_time, asked)
             if rolled is not None and asked is not None and rolled.margins.bandwidth < REACHED * asked:
-                advice = f"request at most {rolled.margins.bandwidth:.3g} Hz, or no bandwidth"
+                advice = f"request a bandwidth of at most {rolled.margins.bandwidth:.3g} Hz or none"
             elif rolled is not None and (
                 slower is None or abs(rolled.parameters.pid.Ki) > WORTH * abs(slower.parameters.pid.Ki)
             ):

@@ -546,7 +546,10 @@ def _linear(
                 model = subspace_model(early(delay), order, weights=weights, radius=RADIUS, feedthrough=False)
                 found.append((_judge(model, delay, response, judged), order, delay, model))
     if not found:
-        raise IdentificationError(f"order {', '.join(map(str, orders))}: no structure fits the response; give --order")
+        tried_orders = ", ".join(map(str, orders))
+        raise IdentificationError(
+            f"no structure of order {tried_orders} fits the response; give another order with --order"
+        )
     least = min(one[0] for one in found)
     tried: list[tuple[float, int, int, LinearModel]] = []
     for error, order, delay, model in found:

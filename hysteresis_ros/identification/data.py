@@ -305,8 +305,8 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
     if np.max(np.abs(distances - steps * median)) <= GRID_TOLERANCE * median:
         lost, longest = int(np.sum(steps - 1)), int(np.argmax(distances))
         text = (
-            f"not uniformly sampled: {lost} samples of a grid of {median:.6g} s are missing, the longest gap is "
-            f"{distances[longest]:.4g} s at {time[longest]:.6g} s"
+            f"not uniformly sampled: {lost} samples are missing from a grid of {median:.6g} s; the longest gap, "
+            f"{distances[longest]:.4g} s, begins at {time[longest]:.6g} s"
         )
     else:
         text = f"not uniformly sampled: intervals from {distances.min():.6g} s to {distances.max():.6g} s"

@@ -698,7 +698,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     frequency, sample_time = real_array(held, "frequency"), real_array(held, "sample_time")
     input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
     if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
-        raise ValueError("no frequencies or no sample time")
+        raise ValueError("frequency must contain increasing values, and sample_time must be one number > 0")
     if not {input_unit, output_unit} <= {unit for unit, _ in UNITS.values()} or kind not in KINDS:
         raise ValueError("unknown units or kind")
     values = np.asarray(held["response"], dtype=complex).reshape(frequency.size, 1, 1)

@@ -412,7 +412,7 @@ def fit_prandtl_ishlinskii(
     if density not in DENSITIES:
         raise IdentificationError(f"density = {density!r}: must be one of {', '.join(DENSITIES)}")
     if density == "exponential" and zone_count is not None:
-        raise IdentificationError("zone_count needs density=free; an exponential density has its own map")
+        raise IdentificationError("zone_count: not with density=exponential, which has its own map")
 
     def choose(data):
         return _chosen(data, play_count, zone_count, density, linear, progress, competitors)

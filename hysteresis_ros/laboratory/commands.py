@@ -294,7 +294,7 @@ def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_pa
     tasks = [read_task(entry, folder) for entry in entries if entry.name in only or (not only and entry in found)]
     tasks += [synthetic_task(seed, noise) for seed in seeds if not only or f"synthetic_{seed}" in only]
     if not tasks:
-        raise HysteresisError("no recording is left: give --data, --synthetic 4, or a manifest")
+        raise HysteresisError("no recording to evaluate: give --data, --synthetic 4, or a manifest")
     progress = Progress(err=True, silence=SILENCE)
     with progress.during(f"{len(specs)} models on {len(tasks)} recordings"):
         rows = judging.run(tasks, specs, workers, lambda row: progress.say(f"  done: {row.model} on {row.recording}"))

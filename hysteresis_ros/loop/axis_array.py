@@ -246,7 +246,7 @@ class AxisArray:
         return self.memory.reshape(len(self), self.stride)[:, [first + LOW, first + HIGH]]
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a signal of the last sample of every axis, shape (n,)."""
+        """Return the last value of a signal on every axis, shape (n,)."""
         return self.rows[:, _signal_place(name)].copy()
 
     def step(self, setpoints: ArrayLike) -> np.ndarray:

@@ -451,7 +451,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, "the device has no output for triggers", NO_TRIGGERS)
         wanted = given.rate or parameters.sample_rate
         if wanted > can.trigger_rate:
-            asked = f"triggers.rate = {given.rate:g}" if given.rate else "triggers.rate = 0 (one in each sample)"
+            asked = f"triggers.rate = {given.rate:g}" if given.rate else "triggers.rate = 0 (at most one per sample)"
             problem = f"the device outputs at most {can.trigger_rate:.6g} triggers/s, but {asked} allows {wanted:g}"
             raise DriverError(device, problem, f"set triggers.rate: {math.floor(can.trigger_rate):d}")
         if can.compares and not given.compares:

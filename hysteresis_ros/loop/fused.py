@@ -121,7 +121,7 @@ def claim_of_a_core() -> socket.socket | None:
     for index in range(usable_cores() - 1):
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            claim.bind(f"\0{CLAIM}/{index}")  # a name without a file, freed with the process
+            claim.bind(f"\0{CLAIM}/{index}")  # abstract socket: no file, and freed when the process exits
         except OSError:
             claim.close()
         else:

@@ -299,8 +299,8 @@ def take_setpoint(own, i):
 def take_post(own, i, motor):
     """Read all requests to an axis since the last sample; write the requested changes behind its row in the column.
 
-    Several posts between two samples act as one post, because each contains all requests until then. The table of a
-    post is complete before its number is written, and the table is overwritten POSTS posts later.
+    Each post contains all requests so far, so several posts between two samples act as one. The table of a post is
+    complete before its number is written, and the table is overwritten POSTS posts later.
     """
     counts, column = own.counts[i], own.column[i]
     post = own.posts[own.state[TAKEN] % POSTS, i]

@@ -245,7 +245,7 @@ def unequal(recorded: Recording, twin: Recording, unknown: Collection[str] = ())
     return found
 
 
-#: Columns of modes, and the names of the parts.
+#: Mode columns of a recording, and the part that each describes.
 PARTS = {
     "source_mode": "source",
     "controller_mode": "controller",

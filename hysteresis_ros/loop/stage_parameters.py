@@ -416,7 +416,7 @@ class StageParameters:
         try:
             check_limits(scan, ScanLimits(**limits))
         except ParameterError as error:
-            words = f"{where}: about the setpoints, as {', '.join(names)}: "
+            words = f"{where} on axes {', '.join(names)} (positions relative to initial_setpoint): "
             raise ParameterError([replace(problem, name=words + problem.name) for problem in error.problems]) from None
         return replace(found, axes=tuple(axes))
 

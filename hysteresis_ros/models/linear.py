@@ -200,8 +200,8 @@ class LinearParameters(Parameters):
     sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
     delay: float = parameter(
         0.0,
-        description="delay of amplifier, converter and transport in addition to the matrices; any number of samples, "
-        "also a fraction; needs sample_time",
+        description="delay of amplifier, converter and transport, which the matrices do not include; may be a "
+        "fractional number of samples; needs sample_time",
         unit="s",
         low=0.0,
     )

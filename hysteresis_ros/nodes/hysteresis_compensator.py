@@ -116,7 +116,7 @@ class HysteresisCompensatorNode(Responder):
     def refuse_value(self, input_: Input, data: float) -> None:
         """Log that a command is invalid."""
         self.refused += 1
-        self.warn("command", f"command {data} m refused, {self.compensator.command:.6g} m kept")
+        self.warn("command", f"command = {data} m refused; {self.compensator.command:.6g} m is kept")
         if not self.runner.exact and self.sample:
             self.publish_outputs()  # exactly one voltage for every command, because the plant counts the voltages
 

@@ -255,7 +255,7 @@ class LockstepResponder(Lockstep):
             self.advance()
 
     def value(self, place: int, data: float) -> None:
-        """Receive a message of the input with this index; the count of messages assigns it to a sample."""
+        """Receive a message for input number ``place``; the count of messages assigns it to a sample."""
         node = self.node
         input_ = node.inputs[place]
         count = self._counts[place] = self._counts[place] + 1

@@ -357,7 +357,7 @@ class MotionControllerNode(Responder):
     def refuse_value(self, input_: Input, data: float) -> None:
         """Log that a reference is invalid: the last valid reference is used; for a motor the command is held."""
         if not input_.previous:
-            self.warn(input_.topic, f"{input_.topic} {data} m refused, the last value is kept")
+            self.warn(input_.topic, f"{input_.topic} = {data} m refused; the last value is kept")
 
     def show(self, stamp, quiet: bool) -> None:
         """Publish the row of a sample, and compare its command with the achieved command."""

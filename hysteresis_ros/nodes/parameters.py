@@ -397,8 +397,8 @@ class ParameterInterface:
                 Problem(
                     name,
                     changed[name],
-                    f"beyond the {self._at_start[name]:g} {self._rows[name].unit} at the start of the node; give the "
-                    f"wider limit in the parameter file, or with -p {name}:=…, and start the node again",
+                    f"beyond its start value of {self._at_start[name]:g} {self._rows[name].unit}; give the wider limit "
+                    f"in the parameter file, or with -p {name}:=…, and restart the node",
                 )
                 for name in beyond
             )

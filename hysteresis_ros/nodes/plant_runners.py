@@ -225,7 +225,7 @@ class RealTimePlant(RealTime):
         # the timing thread writes _asked, the executor _given
         self._asked = 0
         self._given: dict[str, int] = {}
-        self._heard: dict[str, float] = {}  #: Awake time of the last voltage of each topic [s].
+        self._heard: dict[str, float] = {}  #: Time of the last voltage on each topic [s], see :class:`.AwakeTime`.
         self._unaligned = False
         self._settling = self._unsettled = 0
         super().__init__(node)

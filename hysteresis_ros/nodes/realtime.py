@@ -380,7 +380,7 @@ class RealTimeResponder(RealTime):
             self.node.get_logger().info(f"{self.node.trigger} is back")
 
     def value(self, place: int, data: float) -> None:
-        """Receive a message of the input with this index."""
+        """Receive a message for input number ``place``."""
         node = self.node
         input_ = node.inputs[place]
         if input_.previous:

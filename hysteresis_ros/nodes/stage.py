@@ -521,7 +521,7 @@ class StageSources(Group):
         tolerances: Mapping[str, Tolerances] | None = None,
         told: Mapping[str, Told] | None = None,
     ) -> None:
-        """Follow trajectories of several joints, all or none, from the same sample on; a joint without points stops.
+        """Start the trajectories of several joints, all or none, at the same sample; a joint without points stops.
 
         ``tolerances`` are given by joint; by default the configured tolerances apply. The callbacks ``told``, also by
         joint, are called at the end of each move.

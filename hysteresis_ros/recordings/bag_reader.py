@@ -99,8 +99,8 @@ class _Records:
 def read_stream(path, sink) -> StreamResult:
     """Pass every complete message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
 
-    The file needs neither index nor footer. From a truncated file all messages before the cut are read, including those
-    in the chunk that was cut.
+    The file needs neither index nor footer. All complete messages before the cut of a truncated file are read, also
+    those in the truncated chunk.
     """
     path = pathlib.Path(path)
     result, records = StreamResult(), _Records(sink)

@@ -147,7 +147,7 @@ def require_same(name: str, text: str) -> None:
 
 
 def available(words: Mapping[str, str]) -> Iterator[bytes]:
-    """Yield the contents of a run's files: files in the recording, and large files that are unchanged on this disk."""
+    """Yield the contents of a run's files: those stored in the recording, and large ones unchanged on this disk."""
     yield from whole(words).values()
     for name, text in words.items():
         with contextlib.suppress(RecordingError, OSError):

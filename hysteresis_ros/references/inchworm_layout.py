@@ -153,7 +153,7 @@ BACKWARD_MODEL = 69
     CYCLE,  # 1 while the phase of the cycle determines the extender's motion
     CYCLE_PHASE,  # phase of the path, 0 … 1
     CYCLE_RATE,  # [1/sample]
-    BRAKING,  # decrease of the rate per sample when the motor stops
+    BRAKING,  # decrease of CYCLE_RATE per sample while the motor stops [1/sample²]
     PATH,  # position at which the path of this cycle began [m]
     PATH_ERROR,  # path minus measured slider position [m]
     CORRECTION,  # correction of the extension [m]

@@ -317,8 +317,8 @@ class WalkParameters(Parameters):
     quick_clamps: bool = parameter(
         False,
         read_only=True,
-        description="true: the ramps of the clamps have the gait's durations at any speed, and touch the slider at the "
-        "same phase; false: they take the same part of the cycle at any speed",
+        description="true: the clamp ramps have the gait's durations at any speed, and the clamps touch the slider at "
+        "the same phase as with false; false: the ramps take a fixed fraction of the cycle",
     )
     learning: bool = parameter(
         False, read_only=True, description="true: learn from the start; the services ~/learn and ~/freeze change it"

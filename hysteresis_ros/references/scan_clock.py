@@ -191,7 +191,7 @@ class ScanClock:
         """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N,).
 
         N is the number of samples after which the path repeats: sample k has the bits of sample k mod N. The bits do
-        not contain the end of the scan.
+        not mark the end of the scan.
         """
         samples = np.arange(-1, self._period.numerator)
         found = np.zeros(samples.size - 1)

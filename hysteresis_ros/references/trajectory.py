@@ -87,7 +87,7 @@ class TrajectoryParameters(Parameters):
     )
     goal_time: float = parameter(
         1.0,
-        description="time after its last point within which a move must arrive",
+        description="time within which a move must arrive after its last point",
         unit="s",
         low=0.0,
         high=3600.0,

@@ -97,7 +97,7 @@ class TriggerParameters(Parameters):
         unit="Hz",
         low=0.0,
         high=1.0e6,
-        description="highest rate of triggers that the receiver or the output accepts; 0: one in each sample",
+        description="highest rate of triggers that the receiver or the output accepts; 0: at most one per sample",
     )
     input: TriggerInputParameters = group(TriggerInputParameters)
 

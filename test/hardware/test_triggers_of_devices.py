@@ -120,7 +120,8 @@ def test_a_reading_is_found_for_a_curved_sensor():
             {"trigger_rate": 500.0},
             None,
             {},
-            r"at most 500 triggers/s, but triggers.rate = 0 \(one in each sample\) allows 3000; set triggers.rate: 500",
+            r"at most 500 triggers/s, but triggers.rate = 0 \(at most one per sample\) allows 3000; "
+            "set triggers.rate: 500",
         ),
         (
             {"trigger_rate": 500.0},

@@ -124,7 +124,7 @@ def test_columns_of_a_matrix_have_numbers(tmp_path):
         (
             "a.csv",
             "\n".join(["t_s,u_V,y_um", *(row for k, row in enumerate(lines()) if k % 90 > 8)]).encode(),
-            "longest gap is 0.05 s at",
+            "longest gap, 0.05 s, begins at",
         ),
     ],
 )

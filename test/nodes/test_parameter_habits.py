@@ -105,9 +105,9 @@ def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(i
     node = inside.add(cls, getattr(axis_parameters(overrides={name: given}), name), autostart=False)
     assert node.configure_now()
     refused = set_(node, **{"limits.maximum": 10000.0})
-    assert not refused.successful and "beyond the 90 V at the start of the node" in refused.reason
+    assert not refused.successful and "beyond its start value of 90 V" in refused.reason
     refused = set_(node, **{"limits.slew_rate": 0.0})  # unlimited
-    assert not refused.successful and "beyond the 500 V/s at the start of the node" in refused.reason
+    assert not refused.successful and "beyond its start value of 500 V/s" in refused.reason
     for limit, value in (("limits.minimum", -30.1), ("limits.slew_rate", 500.1), ("safe_slew_rate", 200.1)):
         assert not set_(node, **{limit: value}).successful, limit
     narrow = {"limits.minimum": 0.0, "limits.maximum": 50.0, "limits.slew_rate": 100.0, "safe_slew_rate": 50.0}

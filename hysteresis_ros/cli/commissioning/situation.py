@@ -80,7 +80,7 @@ class Plan(Parameters):
     maximum: float = parameter(description="highest permitted voltage", unit="V", low=-1e4, high=1e4)
     stroke: float = parameter(
         description="expected displacement over this range; commissioning stops when the measured one "
-        "differs by a factor of 3",
+        "differs by a factor of 3 or more",
         unit="m",
         low=1e-12,
         high=1.0,

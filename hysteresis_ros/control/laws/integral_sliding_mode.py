@@ -133,7 +133,7 @@ class IntegralSlidingMode(SlidingController):
     parameters : ControllerParameters
         With ``type`` integral_sliding_mode; gains in group ``sliding_mode``.
     sample_time : float
-        Sample time [s]; the model is discrete at this time.
+        Sample time [s] of the discrete model.
     """
 
     kernel = staticmethod(integral_sliding_mode)

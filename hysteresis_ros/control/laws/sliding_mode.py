@@ -74,7 +74,7 @@ class SlidingMode(SlidingController):
     parameters : ControllerParameters
         With ``type`` sliding_mode.
     sample_time : float
-        Sample time [s]; the model is discrete at this time.
+        Sample time [s] of the discrete model.
     """
 
     kernel = staticmethod(sliding_mode)

@@ -194,7 +194,7 @@ class SuperTwisting(SlidingController):
     parameters : ControllerParameters
         With ``type`` super_twisting; gains in groups ``super_twisting`` and ``sliding_mode``.
     sample_time : float
-        Sample time [s]; the model is discrete at this time.
+        Sample time [s] of the discrete model.
     """
 
     kernel = staticmethod(super_twisting)

@@ -695,7 +695,8 @@ class GcsDriver(Driver):
                 high, *others = others
                 self._pulses += high > self._high
                 self._high = high
-            if code != NO_ERROR and not due:  # first report a changed setting: it explains the refused command
+            if code != NO_ERROR and not due:
+                # report a changed setting before the error, because it explains the refused command
                 (others, _), due = link.numbers(*self._looks), True
             if due:
                 self._check(link, others, code)

@@ -33,7 +33,7 @@ JUDGED = (
     "Error: RMS of measured minus predicted output over the judged samples of the test part.",
     "Interval: 95 %, by resampling blocks of the squared error that are longer than its correlation; it holds for "
     "other parts of this recording, not for other recordings.",
-    "Fit and prediction: processor time, with compilation where a model compiles.",
+    "Fit and prediction: processor time, including the compilation of compiled models.",
 )
 #: Lowest and highest error on the axis of the figure [% of stroke].
 LOWEST, HIGHEST = 1e-3, 100.0

@@ -111,7 +111,7 @@ def _ranked_in(table: Table, row: Row) -> bool:
 
 
 class Tried(NamedTuple):
-    """Results for one plant of another class and the plants around it."""
+    """Results on a plant of another class, and on variants of it after a drift."""
 
     seed: int  #: Seed of the plant.
     kind: str  #: Class of its hysteresis.

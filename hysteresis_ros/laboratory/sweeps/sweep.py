@@ -159,12 +159,12 @@ def require_kind(path) -> None:
     """Refuse a file format that cannot be written; called before any run."""
     suffix = pathlib.Path(path).suffix
     if suffix not in (PARQUET, NPZ):
-        raise ConfigurationError(f"{path}: results are written as F.parquet or F.npz; choose one of them")
+        raise ConfigurationError(f"{path}: the name of the results must end in .parquet or .npz")
     if suffix == PARQUET:
         try:
             import pyarrow  # noqa: F401
         except ImportError:
-            raise ConfigurationError(f"{path}: Parquet {EXTRA}; or choose F.npz") from None
+            raise ConfigurationError(f"{path}: Parquet {EXTRA}; or choose a name that ends in .npz") from None
 
 
 def save(results: Results, path) -> None:

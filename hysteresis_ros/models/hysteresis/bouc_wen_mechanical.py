@@ -144,7 +144,7 @@ def _advance(p, x, start, end):
 
 @kernel
 def bouc_wen_mechanical(p, x, u):
-    """Return the displacement [m]: for a held input at the end of the sample, for a linear input at the time of ``u``.
+    """Return the displacement [m] at the end of the sample (held input) or at the time of ``u`` (linear input).
 
     A held ``u`` acts during the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. A linear
     input goes from its last value to ``u``; the first call has no last value and returns the displacement at the start.

@@ -92,7 +92,7 @@ class DuhemParameters(Parameters):
         "network", choices=("network", "spline"), description="representation of f and g", read_only=True
     )
     f_network: tuple[float, ...] = parameter(
-        (), description="f: m input weights a, m biases b, m output weights c and a constant d of Σ c tanh(a v + b) + d"
+        (), description="f(v) = Σ c tanh(a v + b) + d: m input weights a, m biases b, m output weights c, then d"
     )
     g_network: tuple[float, ...] = parameter((), description="g, like f_network")
     f_spline: tuple[float, ...] = parameter((), description="f: normalised values at equidistant inputs from -1 to +1")

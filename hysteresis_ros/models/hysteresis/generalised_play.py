@@ -148,10 +148,9 @@ class GeneralisedPlayParameters(Parameters):
         if not self.rate or part <= LARGEST_PART:
             return ()
         return (
-            f"{prefix}slope = {self.slope:g}: the sum of the weights is {part:.2g} times as much; "
-            f"above {LARGEST_PART:g} times and with a rate, the inverse's voltages may oscillate "
-            "after reversals; without a rate they "
-            "do not",
+            f"{prefix}slope = {self.slope:g}: the weights sum to {part:.2g} times the slope; "
+            f"above {LARGEST_PART:g} times, with rate > 0, the inverse's voltage may oscillate after reversals; "
+            "rate = 0 prevents this",
         )
 
 

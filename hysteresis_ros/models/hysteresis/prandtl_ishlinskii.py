@@ -313,7 +313,9 @@ MODEL = HysteresisModel(
     identify="hysteresis_ros.identification.procedures:prandtl_ishlinskii",
     options={
         "play_count": Option(int, "plays", low=1),
-        "zone_count": Option(int, "number of dead zones, with a non-parametric density; 0: the classical model", low=0),
+        "zone_count": Option(
+            int, "number of dead zones; a given number selects density=free; 0: the classical model", low=0
+        ),
         "density": Option(
             str,
             "weights over the radius: exponential with a cubic map, free, or the best by cross-validation",

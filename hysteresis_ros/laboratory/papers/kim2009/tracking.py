@@ -340,7 +340,7 @@ STEP_CYCLES = 6
 
 ALONE = "one condition at a time; all else as in (d): the compensator knows the plant, no noise, ideal converters"
 CREEPING = "creep of the plant 1 % of the step a decade of time (logarithmic law, from 0.1 s on)"
-COARSE = "12-bit converters over −30 … 120 V: 3.8 nm a digit"
+COARSE = "12-bit converters over −30 … 120 V: 3.8 nm per step"
 STRUCTURE = "resonance of the plant off by ±1 % or ±5 % (the worse result is shown), damping ratio and gain kept"
 OPENING = "loop width of the compensator's model off by +5 %, sensor noise 5 nm rms, 16-bit converters"
 
@@ -385,8 +385,8 @@ _REMEMBERED = (
     "the compensator's model has the memory of a 20 V peak that the plant never received, so it returns too far"
 )
 _DIGIT = (
-    "the difference between command and achieved command, up to a digit of 3.8 nm, is constant, and the reaching law "
-    "amplifies it up to 1/(1 − Φ) = 14 times"
+    "command and achieved command differ by a constant of at most half a quantisation step of 3.8 nm, and the reaching "
+    "law amplifies it up to 1/(1 − Φ) = 14 times"
 )
 _CREEPS = "the law has no integral action and follows its model, which does not creep; the estimator follows the plant"
 
