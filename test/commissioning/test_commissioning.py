@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_support import hysteresis
 from commissioning_support import RATE, STAGE, ForeignBench, Willing, sitting
 
 from hysteresis_ros.cli.commissioning import closed_loop
@@ -339,3 +340,10 @@ def test_the_voltages_of_a_stage_leave_as_they_were_planned_also_far_from_0_v(tm
     situation.configuration = situation.configuration.override("reference_generator", **ends)
     run = simulate(situation.driven_axis("gain", voltages), describe=False)
     assert run["voltage"] == pytest.approx(voltages, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["stage700", "picma_stage"])
+def test_the_reference_of_a_file_is_not_judged_by_the_limits_of_a_stage(tmp_path, name):
+    """The waveform and the setpoint of the file are out of reach of the voltages of one stage, and are replaced."""
+    said = hysteresis("commission", name, "--offline", "--yes", "--stage", "noise", "--directory", tmp_path / "stage")
+    assert "noise " in said and "RMS" in said

@@ -19,7 +19,7 @@ import hashlib
 import json
 import pathlib
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -300,7 +300,9 @@ class Situation:
             configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
             configuration = configuration.override("plant_simulator", **self._watched())
-        limits = single_axis(configuration, self.axis.namespace).hysteresis_compensator.limits
+        # the reference of the file may be out of reach within these limits; driven() replaces it
+        given = self.axis.hysteresis_compensator.limits
+        limits = replace(given, minimum=low, maximum=high, slew_rate=self.plan.amplifier)
         block = hysteresis_block(self.axis.hysteresis_compensator.hysteresis, 1.0 / self.rate)
         path = write_samples(self.folder.path / "waveforms" / f"{stage}.npz", voltages * block.gain, self.rate)
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference"}
