@@ -612,8 +612,9 @@ def load_configuration(path) -> Configuration:
 def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple[str, dict]:
     """Return an entry of the file with the absolute path of its driver, if the path is relative."""
     name = values.get("driver")
-    beside = path.absolute().parent / name if isinstance(name, str) and "/" in name else None
-    return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
+    if not (isinstance(name, str) and "/" in name):
+        return pattern, values
+    return pattern, {**values, "driver": str(path.absolute().parent / name)}
 
 
 class _Dumper(FAST_DUMPER):

@@ -14,14 +14,16 @@ from __future__ import annotations
 import contextlib
 import difflib
 import errno
+import functools
 import gc
 import importlib
+import pathlib
 import re
 import signal
 import sys
 import threading
-from collections.abc import Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
@@ -137,10 +139,16 @@ COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.it
 #: New objects per collection of the youngest generation. Compilation creates millions of objects that stay alive; with
 #: Python's default of 700, collections would take a tenth of the time.
 COLLECT_AFTER = 50_000
+#: Options that name a file to write, and endings of parameter files.
+WRITTEN = ("-o", "--json", "--csv", "--plot")
+PARAMETER_FILES = (".yaml", ".yml")
 
 
 class LazyGroup(click.Group):
     """A group whose commands are looked up in :data:`COMMANDS`; wrong input ends in one line and exit code 2."""
+
+    #: Names of the imported commands that keep the files they read.
+    _checked: ClassVar[set[str]] = set()
 
     def list_commands(self, ctx) -> list[str]:
         """Return the names of all subcommands in the order of the table."""
@@ -151,7 +159,11 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module, attribute = COMMANDS[cmd_name][0].split(":")
-        return getattr(importlib.import_module(module), attribute)
+        command = getattr(importlib.import_module(module), attribute)
+        if cmd_name not in self._checked:
+            self._checked.add(cmd_name)
+            command.callback = _keeping_files(command.callback)
+        return command
 
     def format_commands(self, ctx, formatter) -> None:
         """Write the subcommands in groups, without importing their modules."""
@@ -209,6 +221,40 @@ class LazyGroup(click.Group):
         except (click.Abort, KeyboardInterrupt):
             leave_interrupted()
         sys.exit(code or 0)
+
+
+def _keeping_files(callback):
+    """Return a callback that refuses to write a file that the command reads, or two results to one file."""
+
+    @functools.wraps(callback)
+    def checked(*values, **named):
+        context = click.get_current_context()
+        files = list(_files(context))
+        for option, path in files:
+            others = [other for other, same in files if same == path and other != option]
+            # a parameter file may be written anew, as by an editor
+            others = [other for other in others if other in WRITTEN or path.suffix not in PARAMETER_FILES]
+            if option in WRITTEN and others:
+                name = shortened(path.name)
+                if others[0] in WRITTEN:
+                    raise click.UsageError(f"{option} and {others[0]} name the same file {name}; give two files")
+                raise click.UsageError(f"{option} {name}: the command reads this file and would lose it; give another")
+        return callback(*values, **named)
+
+    return checked
+
+
+def _files(context: click.Context) -> Iterator[tuple[str, pathlib.Path]]:
+    """Yield option or argument and file for each value of a command that may be a file."""
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        name = next((option for option in parameter.opts if option in WRITTEN), parameter.human_readable_name)
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, str | pathlib.Path) and str(one) not in ("-", ""):
+                with contextlib.suppress(OSError, ValueError):  # a text that is not the name of a file
+                    path = pathlib.Path(one).resolve()
+                    if name in WRITTEN or path.is_file():
+                        yield name, path
 
 
 def _refuse(text: str, code: int) -> NoReturn:

@@ -18,7 +18,7 @@ import pytest
 from command_support import refusal, run
 
 from hysteresis_ros.cli.main import COMMANDS
-from hysteresis_ros.configuration import config_path
+from hysteresis_ros.configuration import config_path, load_configuration
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.stage import Stage
 
@@ -225,3 +225,30 @@ def test_a_kind_of_file_that_no_run_has_is_refused_before_the_run(words, tmp_pat
     line = refusal(*words)
     assert "run.txt: unknown kind of file '.txt'; write .npz, .csv or .mcap" in line and "samples" not in line
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("report", "rec.npz", "--json", "rec.npz"), "--json 'rec.npz': the command reads this file and would lose it"),
+        (("export", "rec.npz", "-o", "./rec.npz"), "-o 'rec.npz': the command reads this file and would lose it"),
+        (("identify", "rec.npz", "-o", "rec.npz"), "-o 'rec.npz': the command reads this file and would lose it"),
+        (("report", "rec.npz", "-o", "p.html", "--json", "p.html"), "-o and --json name the same file 'p.html'"),
+    ],
+)
+def test_results_never_overwrite_the_recording_or_each_other(tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rec.npz").write_bytes(b"kept")
+    line = refusal(*words)
+    assert said in line
+    assert (tmp_path / "rec.npz").read_bytes() == b"kept" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_relative_driver_is_looked_for_beside_its_file_only(tmp_path, monkeypatch):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "stage.py").write_text("raise SystemExit(99)")
+    monkeypatch.chdir(elsewhere)
+    (tmp_path / "axis.yaml").write_text("/plant_simulator:\n  ros__parameters: {driver: ./stage.py}\n")
+    entry = load_configuration(tmp_path / "axis.yaml").entries[0]
+    assert entry[1]["driver"] == str(tmp_path / "stage.py")
