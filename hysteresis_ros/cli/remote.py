@@ -136,8 +136,9 @@ def echo(topic, once, count, namespace, timeout):
 def setpoint(value, namespace, timeout):
     """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether the axis accepts it.
 
-    Exit code 2: the setpoint is refused (it is out of range, or the axis is inactive or stopped). Exit code 1: the axis
-    is not found or does not answer, so it is unknown whether the setpoint was accepted.
+    Exit code 2: the setpoint is refused (it is out of range, or a node is inactive), or a node is stopped: the axis
+    then has the setpoint, and moves to it as soon as the node is started. Exit code 1: the axis is not found or does
+    not answer, so it is unknown whether the setpoint was accepted.
     """
     in_graph("setpoint", namespace, timeout, value=_quantity("setpoint", value, "m"))
 

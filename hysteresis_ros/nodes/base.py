@@ -42,7 +42,7 @@ from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.masters import Masters, require_alone
 from hysteresis_ros.nodes.parameters import GuardedServices, ParameterInterface, TabledParameters, answered
-from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
+from hysteresis_ros.nodes.qos import latched_qos, loop_qos
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.timing import OVERRUN, Pace
 from hysteresis_ros.signals import CONFIGURED, ENDED
@@ -416,7 +416,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self._reported: dict[str, int] = {}
         self.active_since = 0.0
         self.compatibility = Compatibility(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", diagnostics_qos(keeps=True))
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", latched_qos())
         self.create_timer(1.0, self.tell_health, clock=self.steady)
         for service in self.triggers:
             self.create_service(Trigger, f"~/{service}", answered(getattr(self, f"_on_{service}")))

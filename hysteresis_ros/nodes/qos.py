@@ -53,5 +53,5 @@ def latched_qos(depth: int = 1) -> QoSProfile:
 
 
 def diagnostics_qos(keeps: bool = False) -> QoSProfile:
-    """``/diagnostics`` as ROS tools expect it; with ``keeps``, late subscribers get the last reports."""
+    """Subscription to ``/diagnostics`` as ROS tools expect it; with ``keeps``, also to the last report of each node."""
     return _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

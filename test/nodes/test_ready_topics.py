@@ -16,6 +16,7 @@ import math
 import re
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -35,7 +36,7 @@ from hysteresis_ros.nodes.ready import WAITING, MoveToReady, ReadyTopics  # noqa
 from hysteresis_ros.nodes.remote import commands  # noqa: E402
 from hysteresis_ros.nodes.remote.__main__ import done  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
-from hysteresis_ros.nodes.remote.commands import move, set_, setpoint  # noqa: E402
+from hysteresis_ros.nodes.remote.commands import call, move, set_, setpoint  # noqa: E402
 from hysteresis_ros.references.moves import Noise  # noqa: E402
 
 RATE, NOISE = 1000.0, 3e-9
@@ -128,6 +129,19 @@ def test_a_tolerance_of_the_axis_holds_for_setpoints_and_the_deadband_for_moves(
     permitted = 2.0 * source(axis).ready.noise.least_tolerance
     assert re.search(r"predicted; tolerance \d\S* nm\nready after", capsys.readouterr().out)
     assert said(heard, "tolerance")[-1] == pytest.approx(permitted, rel=0.5)
+
+
+@pytest.mark.parametrize("node", ["motion_controller", "hysteresis_compensator"])
+def test_a_setpoint_that_a_stopped_node_does_not_follow_is_an_error(axis, client, node):
+    call(client, f"/left/{node}", "stop")
+    try:
+        for send in (setpoint, partial(move, tolerance=20e-9, dwell=None)):
+            with pytest.raises(
+                HysteresisError, match=f"has the setpoint but /left/{node} is stopped: `hysteresis call"
+            ):
+                send(client, value=6e-6)
+    finally:
+        call(client, f"/left/{node}", "start")
 
 
 def test_a_refused_move_ends_with_exit_code_2(axis, client, capsys):
@@ -474,7 +488,8 @@ class Answering:
         self.node = SimpleNamespace(create_subscription=self.hear, count_publishers=lambda topic: 1)
 
     def hear(self, kind, topic, heard, qos):
-        self.heard = heard
+        if topic.endswith("/moves"):
+            self.heard = heard
 
     def until(self, condition, *_):
         return condition()

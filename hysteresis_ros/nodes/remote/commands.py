@@ -507,6 +507,7 @@ def setpoint(client: Client, value: float) -> None:
         state.update(zip(message.name, message.position, strict=False))
 
     client.node.create_subscription(JointState, f"{source}/state", hear, 10)
+    modes = _followers(client, source)
     _require_active(client, source)
     argument = Parameter("setpoint", Parameter.Type.DOUBLE, value).to_parameter_msg()
     request = SetParametersAtomically.Request(parameters=[argument])
@@ -514,6 +515,7 @@ def setpoint(client: Client, value: float) -> None:
     if not result.successful:
         raise HysteresisError(f"{source}: {result.reason}")
     _require_moving(client, source, value, state)
+    _require_followed(client, source, modes)
     print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
 
 
@@ -537,6 +539,7 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
     topic = f"{source}/moves"
     client.node.create_subscription(String, topic, hear, setpoint_qos())
     client.until(lambda: client.node.count_publishers(topic))
+    modes = _followers(client, source)
     _require_active(client, source)
     given = {"setpoint": value, "tolerance": tolerance, "dwell": dwell}
     asked = [Parameter(name, Parameter.Type.DOUBLE, one) for name, one in given.items() if one is not None]
@@ -550,6 +553,7 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
         print(f"{readable(value, 'm')} is within ready.deadband = {band} of the setpoint: the axis does not move")
         return 0
     number = answer["move"]
+    _require_followed(client, source, modes)
     if not client.until(lambda: {"predicted", "ended"} & told(number).keys()):
         raise AbsentError(f"{source} has accepted the move but has not predicted it; see `hysteresis status`")
     heard = told(number)
@@ -665,6 +669,31 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
         why = stands(source, state)
         if why:
             raise HysteresisError(f"{source} has the setpoint but {why}{_cause(client, source, state)}")
+
+
+def _followers(client: Client, source: str) -> dict[str, float]:
+    """Return a table that will hold the modes of controller and compensator, by full name; empty for a motor."""
+    modes: dict[str, float] = {}
+    for name in () if source.endswith(signals.MOTOR_SOURCE) else (signals.CONTROLLER, signals.COMPENSATOR):
+        full = f"{source.rpartition('/')[0]}/{name}"
+
+        def hear(message: JointState, full=full) -> None:
+            modes[full] = dict(zip(message.name, message.position, strict=False)).get("mode", math.nan)
+
+        if client.node.count_publishers(f"{full}/state"):
+            modes[full] = math.nan
+            client.node.create_subscription(JointState, f"{full}/state", hear, 10)
+    return modes
+
+
+def _require_followed(client: Client, source: str, modes: dict[str, float]) -> None:
+    """Raise an error if controller or compensator is stopped, because the setpoint does not move the axis then."""
+    from hysteresis_ros.loop.watch import STOPPED
+
+    client.until(lambda: not any(map(math.isnan, modes.values())), min(ANSWER, client.timeout))
+    for name, mode in modes.items():
+        if mode == STOPPED:
+            raise HysteresisError(f"{source} has the setpoint but {name} is stopped: `hysteresis call {name} start`")
 
 
 def _cause(client: Client, source: str, state: dict[str, float]) -> str:
