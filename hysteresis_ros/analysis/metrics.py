@@ -244,7 +244,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``saturated_percent``                   samples in which range or slew rate of the compensator limit the command [%]
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
                                             sample minus time of the first
-    ``missing_samples``                     samples that are not in the bag, or lack a signal
+    ``missing_samples``                     samples that are not in the recording, or lack a signal in the bag
     ``sample_rate_hz``                      1 / interval between the stamps, missing samples included
     ``rate_hz``                             achieved rate, from the times of reception; the sample rate if the recording
                                             has no such times
@@ -569,7 +569,7 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
     """Return number of samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
     figures: dict = {
         "samples": len(recording),
-        "missing_samples": int(recording.metadata.get("missing_samples", 0)),
+        "missing_samples": int(recording.metadata.get("missing_samples", _gaps(recording))),
         "duration_s": float(recording.time[-1] - recording.time[0]),
     }
     timing = recording.metadata.get("timing") or {}
@@ -596,6 +596,13 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
         notes |= {name: "not a fused run in real time" for name, *_ in TIMELINESS}
         figures |= {name: None for name, *_ in TIMELINESS}
     return figures
+
+
+def _gaps(recording: Recording) -> int:
+    """Return how many samples are missing in the time of a recording."""
+    if len(recording) < 2:
+        return 0
+    return max(int(np.rint((recording.time[-1] - recording.time[0]) / recording.sample_time)) + 1 - len(recording), 0)
 
 
 def _plain(value):

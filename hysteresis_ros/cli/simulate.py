@@ -126,7 +126,7 @@ def simulate(
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
-    if faults or quiets:
+    if faults or quiets or recording["tripped"].any():
         for line in mode_lines(recording):
             click.echo(line)
     rate = parameters.plant_simulator.sample_rate
@@ -190,7 +190,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         rms, peak = readable(figures["rms_error_m"], "m"), readable(figures["max_error_m"], "m")
         click.echo(f"{name}: RMS error {rms}, maximum {peak}")
         _say_triggers(recording.axis(name), f"{name}: ")
-        if faults:
+        if faults or recording.axis(name)["tripped"].any():
             for line in mode_lines(recording.axis(name)):
                 click.echo(f"{name}: {line}")
     if scanned is not None:

@@ -323,3 +323,9 @@ def test_preload_of_the_controllers_model_is_no_error():
     figures = compute_metrics(run(time, 1e-6 * time, 1e-6 * time + offset, {"configuration": text}))
     assert figures["max_error_m"] == pytest.approx(0.0, abs=1e-18)
     assert any("preload" in note for note in figures["notes"]["recording"])
+
+
+def test_samples_that_a_recording_without_a_bag_lacks_are_counted():
+    time = np.delete(np.arange(1000) * 1e-3, np.arange(500, 520))
+    run = Recording(time, {"reference": np.sin(time), "displacement": np.sin(time)})
+    assert compute_metrics(run)["missing_samples"] == 20

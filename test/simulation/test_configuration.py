@@ -175,7 +175,7 @@ def test_a_driver_is_found_beside_the_file_that_names_it(tmp_path):
     file = tmp_path / "axis.yaml"
     for driver, found in (
         ("./drivers/mine.py", str(tmp_path / "drivers" / "mine.py")),
-        ("drivers/other.py", "drivers/other.py"),  # reported as missing with the path as written
+        ("drivers/other.py", str(tmp_path / "drivers" / "other.py")),  # reported as missing there
         (str(tmp_path / "drivers" / "mine.py"), str(tmp_path / "drivers" / "mine.py")),
         ("simulated", "simulated"),
     ):
