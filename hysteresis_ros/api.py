@@ -19,7 +19,7 @@ from __future__ import annotations
 import os
 import pathlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, overload
 
@@ -37,7 +37,14 @@ from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.designs.frequency_response import AxisResponse
 from hysteresis_ros.designs.stage_identification import IdentifiedStage, StageRequest, identify_stage
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, MissingExtraError, did_you_mean
+from hysteresis_ros.errors import (
+    ConfigurationError,
+    HysteresisError,
+    MissingExtraError,
+    ParameterError,
+    Problem,
+    did_you_mean,
+)
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import (
     IdentifiedStructure,
@@ -54,11 +61,12 @@ from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.stage_data import StageColumns, read_stage, realisations
 from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_each
-from hysteresis_ros.loop.faults import Fault
+from hysteresis_ros.loop.faults import Fault, unreached
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.quiet import quiets_of
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
+from hysteresis_ros.loop.source import SOURCES, require_accepted
 from hysteresis_ros.loop.stage_parameters import StageParameters, without_drivers
 from hysteresis_ros.loop.stage_response import scan_warnings
 from hysteresis_ros.loop.stage_simulation import chosen_stage, displacements_between, simulate_stage, with_scan
@@ -66,7 +74,8 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.references.scan import Scan
 from hysteresis_ros.references.scans import scan_words
-from hysteresis_ros.units import figure_name, readable
+from hysteresis_ros.registry import samples as samples_of
+from hysteresis_ros.units import figure_name, quantity_in, readable
 
 if TYPE_CHECKING:
     import pandas
@@ -316,12 +325,9 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         if isinstance(voltage, Recording):
             sample_time = voltage.sample_time if sample_time is None else sample_time
             voltage = voltage["voltage"]
-        try:
-            values = np.asarray(voltage, dtype=float)
-        except (TypeError, ValueError):
-            raise HysteresisError("voltage: must be an array of numbers") from None
-        if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
-            raise HysteresisError(f"voltage has shape {values.shape}: must be one-dimensional, of finite numbers [V]")
+        values = samples_of("voltage", voltage)
+        if not values.size or not np.all(np.isfinite(values)):
+            raise HysteresisError("voltage: must be at least one number, and all must be finite [V]")
         step = self.plant.sample_time if sample_time is None else float(sample_time)
         if not 0.0 < step < np.inf:
             raise HysteresisError(f"sample_time = {step}: must be above 0 s")
@@ -542,6 +548,8 @@ Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | Desig
 #: Inputs of metrics and reports: a run, several runs as files or by name, or a result of this module.
 _OneRun: TypeAlias = "str | os.PathLike[str] | Recording"
 Reported: TypeAlias = "_OneRun | Compared | Sequence[str | os.PathLike[str]] | Mapping[str, _OneRun]"
+#: Faults to inject, or a single fault.
+Faults: TypeAlias = "str | Fault | Sequence[str | Fault]"
 #: Inputs of an identification: a file, or data already read.
 Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData | Reading"
 
@@ -608,11 +616,11 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
 def simulate(  # numpydoc ignore=PR01
     config: Source,
     *,
-    duration: float | None = None,
+    duration: float | str | None = None,
     setpoints: ArrayLike | Mapping[str, ArrayLike] | None = None,
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
-    faults: Sequence[str | Fault] = (),
+    faults: Faults = (),
     scan: Scan | None = None,
     quiet: Sequence[str | Sequence[float]] = (),
     namespace: str | None = None,
@@ -625,9 +633,9 @@ def simulate(  # numpydoc ignore=PR01
 def simulate(  # numpydoc ignore=PR01
     config: Source,
     *,
-    duration: float | None = None,
+    duration: float | str | None = None,
     setpoints: ArrayLike | None = None,
-    faults: Sequence[str | Fault] = (),
+    faults: Faults = (),
     namespace: str | None = None,
     axes: int,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
@@ -639,11 +647,11 @@ def simulate(  # numpydoc ignore=PR01
 def simulate(
     config: Source,
     *,
-    duration: float | None = None,
+    duration: float | str | None = None,
     setpoints: ArrayLike | Mapping[str, ArrayLike] | None = None,
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
-    faults: Sequence[str | Fault] = (),
+    faults: Faults = (),
     scan: Scan | None = None,
     quiet: Sequence[str | Sequence[float]] = (),
     namespace: str | None = None,
@@ -661,16 +669,17 @@ def simulate(
     config : path-like, Configuration, Identified, Design or Recording
         The axis: a parameter file, the name of a shipped one, a result of :func:`load`, :func:`identify` or
         :func:`design`, or a run, whose axis is then simulated.
-    duration : float, optional
-        Duration [s]; by default from ``setpoints``, from the parameter ``samples`` or from the waveform.
+    duration : float or str, optional
+        Duration [s], or a text with its unit such as ``"100ms"``; by default from ``setpoints``, from the parameter
+        ``samples`` or from the waveform.
     setpoints : array_like, shape (N,), or mapping of str to array_like, optional
-        Setpoint at each sample [m]; the last setpoint is held until the end of the run. For a stage: a mapping by the
-        names of its axes.
+        Setpoint at each sample [m], within the range that the axis accepts; the last setpoint is held until the end of
+        the run. For a stage: a mapping by the names of its axes.
     requests : array_like, shape (N,), optional
         Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional
         Requested walking speed of an inchworm at each sample [m/s]; NaN: no request.
-    faults : sequence of Fault or str
+    faults : sequence of Fault or str, or one of them
         Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or a text ``NAME:START:DURATION[:VALUE]`` with times in
         seconds, such as ``"stale:0.1:0.3"``. ``docs/topics.md`` lists the names.
     scan : Scan, optional
@@ -702,7 +711,8 @@ def simulate(
     ConfigurationError
         The configuration cannot be read, the length of the run is not given, or a fault is unknown.
     ParameterError
-        A parameter is wrong, or a quiet hold is longer than creep allows; the message states the allowed values.
+        A parameter, the duration or a setpoint is wrong, or a quiet hold is longer than creep allows; the message
+        states the allowed values.
 
     Examples
     --------
@@ -711,7 +721,8 @@ def simulate(
     >>> run.displacement.shape, run.units["displacement"]
     ((30,), 'm')
     """
-    configuration = configuration_of(config)
+    configuration, words = configuration_of(config), _words(faults)
+    duration = None if duration is None else seconds("duration", duration)
     if quiet and (axes is not None or configuration.stage is not None):
         raise ConfigurationError("quiet is for a single axis: leave it out")
     if axes is not None:
@@ -719,11 +730,15 @@ def simulate(
             raise ConfigurationError(
                 "axes: requests, speeds, a scan and setpoints by names are not for many axes: leave them out"
             )
-        array = AxisArray(_parameters_of_array(configuration, axes, each, faults, namespace), threads)
+        array = AxisArray(_parameters_of_array(configuration, axes, each, words, namespace), threads)
         samples = None
         if duration is not None:
             samples = array.parameters[0].with_duration(duration).plant_simulator.samples
-        return array.run(setpoints, samples)
+        made = array.run(setpoints, samples)  # it refuses setpoints of another shape
+        if setpoints is not None:
+            require_accepted("setpoints", np.asarray(setpoints, dtype=float), *array.setpoint_range.T[..., np.newaxis])
+        _warn(unreached(words, made.time.size, array.sample_rate))
+        return made
     if each is not None:
         raise ConfigurationError("each is for many axes: give their number as axes")
     if scan is not None:
@@ -733,21 +748,57 @@ def simulate(
             raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
         if setpoints is not None and not isinstance(setpoints, Mapping):
             raise ConfigurationError('setpoints of a stage need the names of its axes: give {"x": …, "y": …}')
-        stage = chosen_stage(configuration, tuple(map(str, faults)), namespace)
-        for text in (*stage.warnings(), *scan_warnings(stage)):
-            warnings.warn(text, stacklevel=2)
-        return Run.of(simulate_stage(stage, duration=duration, setpoints=setpoints))
+        stage = chosen_stage(configuration, words, namespace)
+        _warn((*stage.warnings(), *scan_warnings(stage)))
+        if setpoints is not None:
+            setpoints = {
+                name: _setpoints(f"setpoints of {name}", values, stage.axes[stage.place(name)])
+                for name, values in setpoints.items()
+            }
+        recording = simulate_stage(stage, duration=duration, setpoints=setpoints)
+        _warn(unreached(words, len(recording), stage.sample_rate))
+        return Run.of(recording)
     if isinstance(setpoints, Mapping):
         raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one array")
     axis = single_axis(configuration, namespace)
-    if faults:
-        axis = axis.with_faults(tuple(map(str, faults)))
-    for text in reach_warnings(axis):
-        warnings.warn(text, stacklevel=2)
+    if words:
+        axis = axis.with_faults(words)
+    _warn(reach_warnings(axis))
+    given = None if setpoints is None else _setpoints("setpoints", setpoints, axis)
     run = simulate_axis(
-        axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds, quiet=quiets_of(quiet)
+        axis, duration=duration, setpoints=given, requests=requests, speeds=speeds, quiet=quiets_of(quiet)
     )
+    _warn(unreached(words, len(run), axis.plant_simulator.sample_rate))
     return Run.of(run)
+
+
+def _words(faults: Faults) -> tuple[str, ...]:
+    """Return faults as texts; a single fault is a sequence of one."""
+    return tuple(map(str, [faults] if isinstance(faults, (str, Fault)) else faults or ()))
+
+
+def _warn(texts: Iterable[str]) -> None:
+    """Give Python warnings at the line that called a function of this module."""
+    for text in texts:
+        warnings.warn(text, stacklevel=3)
+
+
+def seconds(name: str, value: Any) -> float:
+    """Return a time [s], given as a number or as a text with its unit such as ``100ms``."""
+    try:
+        return quantity_in(value, "s") if isinstance(value, str) else float(value)
+    except (TypeError, ValueError):
+        remedy = "must be a number of seconds, or a text with its unit such as '100ms'"
+        raise ParameterError([Problem(name, value, remedy)]) from None
+
+
+def _setpoints(name: str, values: Any, axis: AxisParameters) -> np.ndarray:
+    """Return setpoints [m], shape (N,); refuse setpoints that the running axis would ignore."""
+    given = samples_of(name, np.atleast_1d(values))
+    if not given.size:
+        raise HysteresisError(f"{name}: must be at least one value [m]")
+    require_accepted(name, given, *SOURCES[axis.kind.source](axis.source).setpoint_range)
+    return given
 
 
 def axis_array(
@@ -756,7 +807,7 @@ def axis_array(
     *,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
-    faults: Sequence[str | Fault] = (),
+    faults: Faults = (),
     namespace: str | None = None,
 ) -> AxisArray:
     """Return many independent axes that advance together in one call, such as the actuators of a deformable mirror.
@@ -774,7 +825,7 @@ def axis_array(
         ``{"plant_simulator.sensor.seed": range(1, 1025)}``. Axes with equal seeds have equal noise.
     threads : int
         Number of threads that compute the axes.
-    faults : sequence of Fault or str
+    faults : sequence of Fault or str, or one of them
         Faults of every axis, see :func:`simulate`.
     namespace : str, optional
         The axis to use, if a configuration contains several.
@@ -805,15 +856,16 @@ def _parameters_of_array(
     configuration: Configuration,
     axes: int,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None,
-    faults: Sequence[str | Fault],
+    faults: Faults,
     namespace: str | None,
 ) -> list[AxisParameters]:
     """Return the parameters of each axis of an array; warn if the axes cannot follow their reference."""
     if configuration.stage is not None:
         raise ConfigurationError("axes: this is a stage of coupled axes: give the file of a single axis, or omit axes")
     axis = single_axis(configuration, namespace)
-    if faults:
-        axis = axis.with_faults(tuple(map(str, faults)))
+    words = _words(faults)
+    if words:
+        axis = axis.with_faults(words)
     for text in reach_warnings(axis):
         warnings.warn(text, stacklevel=3)
     return parameters_of_each(axis, axes, each)

@@ -172,13 +172,16 @@ def from_keywords(
 
 
 def samples(name: str, values: Any) -> np.ndarray:
-    """Return samples as float64, shape (N,)."""
+    """Return samples as writable float64, shape (N,), as the kernels require; masked samples are NaN, i.e. missing."""
     try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
+        given = np.asanyarray(values)
+        if np.iscomplexobj(given):
+            raise TypeError
+        array = np.require(np.ma.filled(given.astype(np.float64, copy=False), np.nan), requirements=["C", "W"])
     except (TypeError, ValueError):
-        raise HysteresisError(f"{name}: must be an array of numbers") from None
-    if np.ndim(values) != 1:
-        raise HysteresisError(f"{name} has shape {np.shape(values)}; it must be one-dimensional, one value a sample")
+        raise HysteresisError(f"{name}: must be an array of real numbers") from None
+    if given.ndim != 1:
+        raise HysteresisError(f"{name} has shape {given.shape}; it must be one-dimensional, one value a sample")
     return array
 
 

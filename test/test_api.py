@@ -162,7 +162,7 @@ def test_waveforms_give_their_samples():
         (lambda: hr.models.BoucWen(d_e="much", alpha=0.0, beta=0.0, gamma=0.0), "d_e = 'much': wrong type"),
         (lambda: hr.models.BoucWen(hr.models.BoucWen.example().parameters, alpha=1.0), "not both: leave out alpha"),
         (lambda: hr.models.BoucWen.example().simulate(np.zeros((2, 2))), r"voltage has shape \(2, 2\)"),
-        (lambda: hr.models.BoucWen.example().simulate(["a"]), "voltage: must be an array of numbers"),
+        (lambda: hr.models.BoucWen.example().simulate(["a"]), "voltage: must be an array of real numbers"),
         (lambda: hr.controllers.Pid(Kpp=1.0), "no parameter Kpp; did you mean Kp"),
     ],
 )

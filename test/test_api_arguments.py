@@ -69,6 +69,64 @@ def test_a_wrong_fault_is_refused_when_it_is_made(arguments, message):
         hr.Fault(*arguments)
 
 
+@pytest.mark.parametrize("single", ["offset:0.01:0.005:2e-7", hr.Fault("offset", 0.01, 0.005, 2e-7)])
+def test_a_single_fault_is_a_list_of_one(single):
+    several, alone = (hr.simulate("kim2009", duration=0.03, faults=given) for given in ([single], single))
+    np.testing.assert_array_equal(alone.measured, several.measured)
+    assert hr.axis_array("kim2009", 2, faults=single).parameters[0].plant_simulator.faults == (str(single),)
+
+
+@pytest.mark.parametrize("more", [{}, {"axes": 2}, {"namespace": "x"}])
+def test_a_fault_after_the_end_of_the_run_is_reported(more):
+    source = "xy_scanner" if "namespace" in more else "kim2009"
+    with pytest.warns(UserWarning, match=r"fault 'stale:0.5:0.1': begins after the end of the run, 0.01 s"):
+        hr.simulate(source, duration=0.01, faults="stale:0.5:0.1", **more)
+
+
+@pytest.mark.parametrize("duration", ["0.01", "10ms", "0.01 s", np.float64(0.01)])
+def test_a_duration_may_have_a_unit(duration):
+    assert len(hr.simulate("kim2009", duration=duration)) == 30
+
+
+@pytest.mark.parametrize("duration", ["10 m", "long", [0.01, 0.02], {}])
+def test_a_duration_that_is_no_time_is_refused(duration):
+    with pytest.raises(HysteresisError, match="duration = .*: must be a number of seconds, or a text with its unit"):
+        hr.simulate("kim2009", duration=duration)
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ([5.0, 5.0], r"setpoints\[0\] = 5.0 m: must be within 0 … 20 µm.*; setpoints are in m: write 5 µm as 5e-06"),
+        ([0.0, 25e-6], r"setpoints\[1\] = 2.5e-05 m: must be within 0 … 20 µm, the range that[^;]*$"),
+        ([0.0, np.nan], r"setpoints\[1\] = nan m: must be within"),
+        ([-np.inf], r"setpoints\[0\] = -inf m: must be within"),
+        ([[1e-6, 2e-6]], r"setpoints has shape \(1, 2\); it must be one-dimensional"),
+        ([1j], "setpoints: must be an array of real numbers"),
+        ([], "setpoints: must be at least one value"),
+    ],
+)
+def test_setpoints_that_the_axis_would_ignore_are_refused(given, message):
+    with pytest.raises(HysteresisError, match=message):
+        hr.simulate("stage700", setpoints=given)
+
+
+def test_setpoints_of_a_stage_and_of_many_axes_are_refused_by_name():
+    with pytest.raises(HysteresisError, match=r"setpoints of y\[1\] = 1.0 m: must be within"):
+        hr.simulate("xy_scanner", setpoints={"y": [20e-6, 1.0]})
+    with pytest.raises(HysteresisError, match=r"setpoints\[1, 0\] = 1.0 m: must be within"):
+        hr.simulate("stage700", axes=2, setpoints=[[0.0], [1.0]])
+
+
+def test_setpoints_may_be_a_series_a_range_or_one_number():
+    pandas = pytest.importorskip("pandas")
+    expected = hr.simulate("stage700", setpoints=np.full(20, 2e-6))
+    series = pandas.Series(np.full(20, 2e-6), index=range(100, 120))
+    for one in (series, (2e-6,) * 20, np.broadcast_to(2e-6, 20)):
+        np.testing.assert_array_equal(hr.simulate("stage700", setpoints=one).measured, expected.measured)
+    assert len(hr.simulate("stage700", setpoints=2e-6, duration=20 * expected.sample_time)) == 20
+
+
 def test_a_run_with_a_fault_is_bit_for_bit_that_with_its_words():
     words = hr.simulate("kim2009", duration=0.03, faults=["offset:0.01:0.005:2e-7", "stale:0.02:0.005"])
     objects = [hr.Fault("offset", 0.01, 0.005, 2e-7), hr.Fault("stale", 0.02, 0.005)]

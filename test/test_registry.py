@@ -15,9 +15,11 @@ import importlib
 import itertools
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from hysteresis_ros.registry import discover, resolved
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.registry import discover, resolved, samples
 
 GROUP = "hysteresis_ros.things_of_a_test"
 numbers = itertools.count()
@@ -80,6 +82,25 @@ def test_an_entry_point_that_does_not_serve_is_left_out_with_a_warning(found, en
     with pytest.warns(RuntimeWarning, match=rf"entry point wrong = .*{words}"):
         things = found({"a": 'THING = Thing(name="a")'}, f"wrong = {entry}\n")
     assert list(things) == ["a"]
+
+
+@pytest.mark.parametrize("given", [np.broadcast_to(2.0, 3), np.frombuffer(np.full(3, 2.0).tobytes()), [2, 2, 2]])
+def test_samples_can_be_written_also_if_those_given_cannot(given):
+    found = samples("voltage", given)
+    assert found.flags.writeable and found.flags.c_contiguous and found.dtype == np.float64
+    np.testing.assert_array_equal(found, [2.0, 2.0, 2.0])
+    own = np.ones(3)
+    assert samples("voltage", own) is own
+
+
+def test_masked_samples_are_missing():
+    np.testing.assert_array_equal(samples("voltage", np.ma.array([1, 5, 2], mask=[0, 1, 0])), [1.0, np.nan, 2.0])
+
+
+@pytest.mark.parametrize("given", [np.ones(2) * 1j, [1.0, 2j], [[1.0], [1.0, 2.0]], "much", ["much"]])
+def test_samples_that_are_no_real_numbers_are_refused(given):
+    with pytest.raises(HysteresisError, match="voltage: must be an array of real numbers"):
+        samples("voltage", given)
 
 
 def test_a_function_is_found_by_its_dotted_path():

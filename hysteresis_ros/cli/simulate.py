@@ -126,6 +126,7 @@ def simulate(
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
+    _warn_unreached(faults, recording, parameters.plant_simulator.sample_rate)
     if faults or quiets or recording["tripped"].any():
         for line in mode_lines(recording):
             click.echo(line)
@@ -144,6 +145,14 @@ def simulate(
 
         name = ERROR_NAMES[int(recording["error"][-1])]
         click.echo(f"hysteresis: warning: the motor stopped with the error {name}; see hysteresis report", err=True)
+
+
+def _warn_unreached(faults, recording, rate: float) -> None:
+    """Warn of faults that begin after the end of the run, which has ``rate`` samples per second."""
+    from hysteresis_ros.loop.faults import unreached
+
+    for warning in unreached(faults, len(recording), rate):
+        click.echo(f"hysteresis: warning: {warning}", err=True)
 
 
 def _say_triggers(recording, axis: str = "") -> None:
@@ -182,6 +191,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         scanned = scan_run(recording) if parameters.scan else None
     save_run(recording, output)
     rate = parameters.sample_rate
+    _warn_unreached(faults, recording, rate)
     click.echo(
         f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s), axes "
         f"{', '.join(parameters.names)}"

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -192,6 +193,17 @@ def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True)
     if kind.motor and not motor:
         raise ConfigurationError(f"fault '{text}': only an inchworm motor can have this fault")
     return Fault(name, numbers[0], numbers[1], value)
+
+
+def unreached(faults: Iterable[str], samples: int, sample_rate: float) -> list[str]:
+    """Return a warning for each fault that begins after the end of a run, at ``sample_rate`` [Hz]."""
+    end = samples / sample_rate
+    return [
+        f"fault '{text}': begins after the end of the run, {end:.6g} s, and has no effect; begin it earlier, or give a "
+        "longer duration"
+        for text in faults
+        if round(parse_fault(text).start * sample_rate) >= samples
+    ]
 
 
 # Parameter array: number of faults, length of the ring; then five numbers per fault.

@@ -15,6 +15,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.errors import ParameterError, Problem
@@ -42,6 +43,7 @@ from hysteresis_ros.references.inchworm_steps import GAIN, OFFSET
 from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
 from hysteresis_ros.references.triggers import TriggerArrays, compare, rest_triggers, step_setpoint, trigger_arrays
 from hysteresis_ros.references.waveforms.scan import clock_of
+from hysteresis_ros.units import micrometres
 
 
 @by_part
@@ -179,6 +181,11 @@ class GeneratorSource:
         if self.parameters.triggers.input.action == "start":
             return 0
         return self.generator.waveform.duration_samples
+
+    @property
+    def setpoint_range(self) -> tuple[float, float]:
+        """The least and the largest setpoint that is accepted [m]: the range, less what the waveform adds."""
+        return self.generator.ps.approach[LOW], self.generator.ps.approach[HIGH]
 
     @property
     def schedule(self) -> np.ndarray:
@@ -382,6 +389,11 @@ class SequencerSource:
         return self.sequencer.duration_samples
 
     @property
+    def setpoint_range(self) -> tuple[float, float]:
+        """The least and the largest setpoint that is accepted [m]."""
+        return self.parameters.minimum, self.parameters.maximum
+
+    @property
     def schedule(self) -> np.ndarray:
         """First samples and values [m] of the scheduled setpoints, shape (N, 2)."""
         given = self.sequencer.parameters
@@ -406,6 +418,19 @@ class SequencerSource:
             raise ParameterError([Problem("triggers", "changed", text)])
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters
+
+
+def require_accepted(name: str, setpoints: np.ndarray, low: ArrayLike, high: ArrayLike) -> None:
+    """Refuse setpoints [m] that are not within ``low`` … ``high`` [m]: a running axis would ignore them."""
+    refused = ~((low <= setpoints) & (setpoints <= high))
+    if not refused.any():
+        return
+    place = tuple(np.argwhere(refused)[0])
+    value, least, most = (float(np.broadcast_to(part, refused.shape)[place]) for part in (setpoints, low, high))
+    remedy = f"must be within {micrometres(least, most)}, the range that the waveform leaves for setpoints"
+    if least <= 1e-6 * value <= most and abs(value) > 1e3 * max(abs(least), abs(most)):
+        remedy += f"; setpoints are in m: write {value:g} µm as {1e-6 * value:g}"
+    raise ParameterError([Problem(f"{name}[{', '.join(map(str, place))}]", value, remedy, "m")])
 
 
 #: Source of each node.

@@ -46,6 +46,12 @@ def test_recorded_setpoints_are_replayed_sample_by_sample(run_file, tmp_path):
     assert replay["reference"][-1] == pytest.approx(5.05e-6)
 
 
+def test_a_fault_after_the_end_of_the_run_is_reported(tmp_path):
+    words = "--duration", 0.02, "--fault", "stale:0.5:0.1", "-o", tmp_path / "run.npz"
+    text = hysteresis("simulate", "kim2009", *words)
+    assert "warning: fault 'stale:0.5:0.1': begins after the end of the run, 0.02 s" in text
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
