@@ -144,6 +144,12 @@ def test_short_names_are_short_where_they_are_clear():
     assert hr.controllers.Pid(Kp=0.5, pid__Ki=10.0).parameters.pid.Ki == 10.0
 
 
+def test_a_chirp_begins_at_its_frequency():
+    given = dict(amplitude=1e-6, final_frequency=100.0, duration=2.0, sample_time=1e-4)
+    slow, fast = (hr.references.Chirp(frequency=f, **given).samples(10) for f in (1.0, 50.0))
+    np.testing.assert_allclose(fast[1:] / slow[1:], 50.0, rtol=0.1)
+
+
 def test_waveforms_give_their_samples():
     sine = hr.references.Sine(amplitude=1e-6, frequency=10.0, cycles=2, sample_time=1e-3)
     np.testing.assert_allclose(sine.samples(), 1e-6 * np.sin(2 * np.pi * 0.01 * np.arange(200)), atol=1e-21)

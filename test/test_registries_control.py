@@ -43,8 +43,10 @@ from hysteresis_ros.laboratory.comparison.laws import ROWS
 from hysteresis_ros.laboratory.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.references.classes import CLASSES
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
+from hysteresis_ros.registry import class_name
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: Sample time [s], step of the reference [m] and bandwidth of the designs [Hz].
@@ -357,6 +359,20 @@ def test_it_refuses_what_it_does_not_take(shape, tmp_path):
             WaveformParameters.from_mapping({**waveform(shape, tmp_path).to_mapping(), "frequency": 0.0})
         with pytest.raises(ParameterError, match=r"waveform\.frequency"):
             Waveform(waveform(shape, tmp_path, frequency=0.7 / T), T)
+
+
+@shapes
+def test_every_parameter_that_it_uses_is_a_keyword_of_its_class(shape, tmp_path):
+    given = waveform(shape, tmp_path)
+    used = set()
+    for name, value in {"frequency": 2.5, "phase": 0.3, "polarity": "symmetric"}.items():
+        try:
+            changed = Waveform(WaveformParameters.from_mapping({**given.to_mapping(), name: value}), T)
+        except ParameterError:
+            continue  # it does not take this parameter
+        if not np.array_equal(changed.p, Waveform(given, T).p):
+            used.add(name)
+    assert used <= {row.name for row in CLASSES[class_name(shape.name)].keywords.values()}
 
 
 @shapes

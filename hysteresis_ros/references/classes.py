@@ -59,7 +59,8 @@ class Reference(Waveform):  # numpydoc ignore=PR02
 def _made(kind: str) -> type[Reference]:
     shape = WAVEFORMS[kind]
     others = tuple(f"{other}." for other in WAVEFORMS if other != kind)
-    taken = {"frequency": shape.takes_frequency, "phase": shape.takes_phase, "polarity": shape.takes_polarity}
+    frequency = shape.takes_frequency or shape.begins_at_frequency
+    taken = {"frequency": frequency, "phase": shape.takes_phase, "polarity": shape.takes_polarity}
     return block_class(
         class_name(kind),
         (Reference,),

@@ -146,6 +146,8 @@ class WaveformShape:
         Parameters of this waveform only, in a group with the waveform's name.
     takes_frequency, takes_phase, takes_polarity : bool, optional
         Whether the waveform uses these shared parameters.
+    begins_at_frequency : bool, optional
+        Whether ``frequency`` is only the frequency at the beginning, which may be 0 Hz.
     check : callable, optional
         ``check(parameters)`` yields a Problem for each inconsistency; names are relative to WaveformParameters.
     extent : str, optional
@@ -171,6 +173,7 @@ class WaveformShape:
     takes_frequency: bool = True
     takes_phase: bool = True
     takes_polarity: bool = False
+    begins_at_frequency: bool = False
     check: Callable[[Any], Iterable[Problem]] = _nothing_wrong
     extent: str = "amplitude"
     periodic: bool = False

@@ -117,6 +117,7 @@ WAVEFORM = WaveformShape(
     pack=pack,
     parameters=ChirpParameters,
     takes_frequency=False,
+    begins_at_frequency=True,
     check=check,
     example=ChirpParameters(final_frequency=100.0, duration=2.0),
 )
