@@ -52,7 +52,7 @@ class Recording:
         if np.any(backwards):
             k = _first(backwards) + 1
             raise RecordingError(
-                f"time[{k}] = {time[k]!r} s does not come after time[{k - 1}] = {time[k - 1]!r} s; "
+                f"time[{k}] = {time[k].item()!r} s does not come after time[{k - 1}] = {time[k - 1].item()!r} s; "
                 "time must increase strictly"
             )
         signals, units = {}, {}

@@ -25,8 +25,9 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import read_arrays, read_json, replacing
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.foreign_tables import column_unit, find_time, known_conversion
 from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
-from hysteresis_ros.units import SUBUNITS
+from hysteresis_ros.units import SUBUNITS, bare_name
 
 _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 
@@ -46,7 +47,7 @@ def write_csv(recording: Recording, path) -> None:
 
 
 def read_csv(path) -> Recording:
-    """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
+    """Read a CSV table whose header gives each column as ``name [unit]`` or ``name_unit``; ``#`` starts a comment.
 
     SI units and their usual submultiples (µm, mm, nm, ms, µs, mV) are converted to SI.
     """
@@ -137,7 +138,11 @@ def _assemble(path, columns, units, metadata) -> Recording:
 def _named_column(path, cell):
     match = _HEADER.match(cell)
     if match is None:
-        example = f"{cell or 'displacement'} [{SIGNAL_UNITS.get(cell, 'm')}]"
+        name, unit = bare_name(cell), column_unit(cell)
+        if unit is not None and name != cell:  # voltage_V
+            return name, *known_conversion(cell, unit)
+        known = "s" if find_time({cell: None}) else SIGNAL_UNITS.get(cell, "m")
+        example = f"{cell or 'displacement'} [{known}]"
         raise RecordingError(f"{path}: column '{cell}' has no unit in the header; write it like '{example}'")
     unit, divisor = SUBUNITS.get(match["unit"].strip(), (match["unit"].strip(), 1.0))
     return match["name"], unit, divisor

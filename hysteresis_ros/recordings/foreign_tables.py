@@ -623,6 +623,11 @@ def choose_columns(table: Table, selection: Selection, progress=None) -> Recordi
         clock = Clock(np.arange(size) * float(selection.sample_time or 0.0))
     else:
         seconds = columns[clock_name] / divisor
+        if seconds.size and not np.isfinite(seconds).any():
+            raise RecordingError(
+                f"{table.path}: time column '{clock_name}' contains no numbers, as with dates; write seconds since the "
+                "start, or give another column or the sample time"
+            )
         clock = mend_clock(seconds, [values for name, values in columns.items() if name != clock_name])
     signals = {}
     for name, (scale, _) in chosen.items():

@@ -135,6 +135,13 @@ def test_what_cannot_be_read_is_refused_in_one_line(tmp_path, name, content, wor
     assert "\n" not in str(caught.value)
 
 
+def test_a_column_of_dates_is_no_time(tmp_path):
+    rows = [f"2024-05-01T10:00:{k / 10:04.1f},{k % 7},{k % 7}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("time,voltage_V,measured_um\n" + "\n".join(rows))
+    with pytest.raises(HysteresisError, match="time column 'time' contains no numbers, as with dates; write seconds"):
+        read_data(tmp_path / "log.csv")
+
+
 def test_an_empty_first_cell_costs_one_sample_and_no_header(tmp_path):
     for header in ("t_s,control_V,gauge_um", None):
         rows = ["," + lines()[0].split(",", 1)[1], *lines()[1:]]

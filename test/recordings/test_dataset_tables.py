@@ -69,16 +69,25 @@ def test_micrometres_and_milliseconds_become_si(tmp_path):
     assert recording["voltage"].tolist() == [0.5, 1.0]
 
 
+def test_units_may_be_the_ends_of_the_names(tmp_path):
+    path = tmp_path / "scope.csv"
+    path.write_text("time_ms,voltage_V,measured_um\n0,1,500\n1,2.5,1000\n", encoding="utf-8")
+    recording = load_run(path)
+    assert recording.time.tolist() == [0.0, 1e-3] and recording.units == {"voltage": "V", "measured": "m"}
+    np.testing.assert_allclose(recording["measured"], [5e-4, 1e-3], rtol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("", "has no unit"),
         ("time,displacement\n0,1\n", "column 'time' has no unit in the header; write it like 'time [s]'"),
+        ("t,displacement\n0,1\n", "column 't' has no unit in the header; write it like 't [s]'"),
         ("displacement [m]\n1\n", "no column 'time'"),
         ("time [s],voltage [m]\n0,1\n", "must be in 'V'"),
         ("time [s],voltage [V]\n0,abc\n", "not a table of numbers"),
         ("time [s],voltage [V]\n0\n", "rows have 1 numbers, but the header has 2"),
-        ("time [s],voltage [V]\n0,1\n0,2\n", "time must increase strictly"),
+        ("time [s],voltage [V]\n0,1\n0,2\n", "time[1] = 0.0 s does not come after time[0] = 0.0 s; time must increase"),
         ("time [s],voltage [V],voltage [V]\n0,1,2\n", "more than once"),
         ("time [s],voltage [V]\nnan,1\n", "not finite"),
     ],
