@@ -27,9 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hysteresis_ros.configuration import (
+    SUFFIXES,
     Configuration,
     load_configuration,
     parse_configuration,
+    save_parameter_file,
     shipped_configurations,
 )
 from hysteresis_ros.control.controller import ControllerParameters
@@ -54,7 +56,6 @@ from hysteresis_ros.identification.coupled import (
 )
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.frequency_response import save_response
-from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.registry import USUAL
@@ -410,14 +411,14 @@ class DesignedFile:  # numpydoc ignore=PR02
         Parameters
         ----------
         path : path-like
-            A ``.yaml`` file; an existing file is replaced.
+            A ``.yaml`` or ``.yml`` file; an existing file is replaced.
 
         Raises
         ------
-        HysteresisError
-            The file cannot be written.
+        ConfigurationError
+            The file has another suffix, or cannot be written.
         """
-        write_file(path, self.text)
+        save_parameter_file(path, self.text, ConfigurationError)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -537,8 +538,6 @@ __all__ = [
     "validate",
 ]
 
-#: Suffixes of configuration files.
-CONFIGURATIONS = (".yaml", ".yml")
 #: Suffixes of recordings; a bag is a folder.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
 
@@ -604,11 +603,11 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
     path = pathlib.Path(path)
     if path.suffix.lower() in RECORDINGS or path.is_dir():
         return Run.of(load_run(path, namespace, further=True))
-    if path.suffix.lower() in CONFIGURATIONS or (not path.exists() and path.name == path.stem == str(path)):
+    if path.suffix.lower() in SUFFIXES or (not path.exists() and path.name == path.stem == str(path)):
         return load_configuration(path)
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file or folder; give a configuration or a recording")
-    endings = ", ".join((*CONFIGURATIONS, *RECORDINGS))
+    endings = ", ".join((*SUFFIXES, *RECORDINGS))
     raise ConfigurationError(f"{path}: neither a configuration nor a recording; it must be a bag or end in {endings}")
 
 

@@ -17,6 +17,7 @@ simulation, the declaration of ROS parameters and the generated documentation.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import os
 import pathlib
@@ -28,8 +29,15 @@ from typing import Any, ClassVar, get_type_hints
 
 import yaml
 
-from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean, shortened
-from hysteresis_ros.files import FAST_DUMPER, FAST_LOADER, BoundsError, read_text, read_yaml
+from hysteresis_ros.errors import (
+    ConfigurationError,
+    HysteresisError,
+    ParameterError,
+    Problem,
+    did_you_mean,
+    shortened,
+)
+from hysteresis_ros.files import FAST_DUMPER, FAST_LOADER, BoundsError, read_text, read_yaml, write_text
 
 #: Types of a ROS 2 parameter and their names for users.
 TYPE_NAMES = {
@@ -355,6 +363,10 @@ NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hy
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 #: Section of a stage of coupled axes.
 STAGE = "stage"
+#: Names that a section of a file may have.
+KNOWN_NAMES = (*NODE_NAMES, *OPTIONAL_NODE_NAMES, STAGE)
+#: Suffixes of parameter files.
+SUFFIXES = (".yaml", ".yml")
 #: Suffixes of recordings, which are not text files.
 RECORDED = (".npz", ".mcap", ".db3")
 
@@ -401,15 +413,58 @@ class Configuration:
     ----------
     entries : tuple of (str, dict)
         Pattern (``/**``, ``/**/plant_simulator``, ``/left/plant_simulator``) and flat dotted parameters.
-    text : str
-        The file as it was read.
+    original : str
+        The file as it was read, without changes by :meth:`override`.
     source : str
         Origin of the text, for messages.
     """
 
     entries: tuple[tuple[str, dict], ...]
-    text: str
+    original: str
     source: str
+
+    @property
+    def text(self) -> str:
+        """Text of a parameter file with the present content: the file as it was read, unless values were changed."""
+        if self.original and parse_configuration(self.original, self.source).entries == self.entries:
+            return self.original
+        plain = [
+            (pattern, {name: value.tolist() if hasattr(value, "tolist") else value for name, value in values.items()})
+            for pattern, values in self.entries
+        ]
+        merged: dict[str, dict] = {}
+        for pattern, values in plain:
+            for other in [other for other in merged if _covers(pattern, other)]:
+                merged[other] = {name: value for name, value in merged[other].items() if name not in values}
+            merged.setdefault(pattern, {}).update(values)
+        meant, written = (replace(self, entries=tuple(entries)) for entries in (plain, merged.items()))
+        for name, namespace in itertools.product(KNOWN_NAMES, ("", *self.namespaces())):
+            if written.node(name, namespace) != meant.node(name, namespace):
+                raise ConfigurationError(
+                    f"{self.source}: changed values of {name} cannot be written, because a section after it sets them "
+                    "too; write the section '/**' before the sections of the nodes"
+                )
+        return dump_configuration(merged)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the present content, including changed values, as a parameter file, completely or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            A ``.yaml`` or ``.yml`` file; an existing file is replaced.
+
+        Raises
+        ------
+        ConfigurationError
+            The file has another suffix, or cannot be written.
+
+        Examples
+        --------
+        >>> import hysteresis_ros as hr
+        >>> hr.load("kim2009").override("motion_controller", type="open_loop").save("open.yaml")  # doctest: +SKIP
+        """
+        save_parameter_file(path, self.text, ConfigurationError)
 
     def node(self, name: str, namespace: str = "") -> dict:
         """Return the flat parameters of one node; the last matching entry wins, as in ROS."""
@@ -428,8 +483,13 @@ class Configuration:
     def override(self, node: str, **values) -> Configuration:
         """Return a configuration in which ``node`` (in every namespace; ``""``: every node) has these values.
 
-        Dots in parameter names are written as double underscores: ``waveform__type="hold"``.
+        Dots in parameter names are written as double underscores: ``waveform__type="hold"``. A node that is neither a
+        node of an axis nor a section of this file is refused.
         """
+        name, sections = node.rsplit("/", 1)[-1], {pattern.rsplit("/", 1)[-1] for pattern, _ in self.entries}
+        if name and "*" not in name and name not in sections.union(KNOWN_NAMES):
+            near = did_you_mean(name, KNOWN_NAMES) or f"; there are {', '.join(KNOWN_NAMES)}"
+            raise ConfigurationError(f"{self.source}: there is no node '{name}'{near}")
         pattern = f"/**/{node}" if node else "/**"
         flat = {name.replace("__", "."): value for name, value in values.items()}
         return replace(self, entries=(*self.entries, (pattern, flat)))
@@ -494,6 +554,18 @@ def matches(pattern: str, full_name: str) -> bool:
     return re.fullmatch(expression, full_name) is not None
 
 
+def _covers(pattern: str, other: str) -> bool:
+    """Return whether a pattern that :meth:`Configuration.override` makes matches all nodes that another one matches."""
+    return pattern.startswith("/**") and f"/{other.lstrip('/')}".endswith(pattern.removeprefix("/**"))
+
+
+def save_parameter_file(path: str | os.PathLike[str], text: str, error: type[HysteresisError]) -> None:
+    """Write a parameter file atomically; refuse a suffix with which it would not be read again."""
+    if pathlib.Path(path).suffix.lower() not in SUFFIXES:
+        raise error(f"{path}: a parameter file is YAML: its name must end in {' or '.join(SUFFIXES)}")
+    write_text(path, text, error)
+
+
 def parse_value(text: str):
     """Return a parameter value from its text, read as in a file; a text that is not YAML is returned unchanged."""
     try:
@@ -531,9 +603,8 @@ def parse_configuration(text: str, source: str) -> Configuration:
 
 def _refuse_misspelled(name: str, source: str) -> None:
     """Ignore the section of an unknown node, as ROS does, but refuse a name that is almost the name of a node."""
-    known = (*NODE_NAMES, *OPTIONAL_NODE_NAMES, STAGE)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
-    if close and name not in known:
+    close = difflib.get_close_matches(name, KNOWN_NAMES, n=1, cutoff=0.8)
+    if close and name not in KNOWN_NAMES:
         raise ConfigurationError(f"{source}: there is no node '{name}'; did you mean {close[0]}?")
 
 

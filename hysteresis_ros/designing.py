@@ -136,7 +136,8 @@ def design(
     >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
     >>> run = hr.simulate(found, duration=0.01)
     """
-    configuration = _written(configuration_of(config), namespace)
+    given = configuration_of(config)
+    configuration = parse_configuration(given.text, given.source)
     axis = single_axis(configuration, namespace)
     request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust, damping)
     measured = None
@@ -148,13 +149,6 @@ def design(
     lines = [*step_lines(text, axis.namespace or None, feedforward), *design_lines(found)]
     lines += [] if measured is None else measured_lines(axis, found, measured)
     return Design(tuple(lines), text, found.parameters, found.margins, tuple(doubts(found)))
-
-
-def _written(configuration: Configuration, namespace: str | None) -> Configuration:
-    """Return a configuration whose text contains all its values, including those set by ``override``."""
-    if parse_configuration(configuration.text, configuration.source).entries == configuration.entries:
-        return configuration
-    return parse_configuration(single_axis(configuration, namespace).configuration_text(), configuration.source)
 
 
 def design_learning(
@@ -205,7 +199,8 @@ def design_learning(
     if learning not in KINDS:
         there = ", ".join(sorted(KINDS))
         raise ConfigurationError(f"learning = '{learning}': must be one of {there}{did_you_mean(learning, KINDS)}")
-    configuration = _written(configuration_of(config), namespace)
+    given = configuration_of(config)
+    configuration = parse_configuration(given.text, given.source)
     axis = single_axis(configuration, namespace)
     request = LearningRequest(learning, period, bandwidth, maximum)
     found = design_correction(with_known_noise(axis, configuration), request, response_uncertainty(configuration))

@@ -230,7 +230,7 @@ def _situation(configuration, directory, resumed, plant, offline, choices):
     plan = _given(choices, plan_of(configuration, axis))
     bench = OfflineBench() if offline else GraphBench(axis.plant_simulator.external_plant)
     against = tuple(name for name in choices["against"] if name != "none") if choices["against"] else None
-    folder = Folder(directory, configuration.text, bench.name, resumed)
+    folder = Folder(directory, configuration.original, bench.name, resumed)
     return Situation(configuration, axis, plan, folder, choices["model"], choices["controller"], against), bench
 
 
@@ -256,7 +256,7 @@ def _coupled_situation(configuration, directory, resumed, plant, offline, choice
     parameters = StageParameters.from_configuration(configuration)
     plans = {name: _given(choices, plan) for name, plan in plans_of(configuration, parameters).items()}
     bench = OfflineBench() if offline else GraphBench(external=False)
-    folder = Folder(directory, configuration.text, bench.name, resumed)
+    folder = Folder(directory, configuration.original, bench.name, resumed)
     model = "prandtl_ishlinskii" if choices["model"] == "auto" else choices["model"]
     controller = "pid" if choices["controller"] == "auto" else choices["controller"]
     return StageSituation(configuration, parameters, plans, folder, model, controller), bench

@@ -333,7 +333,7 @@ def _design_stage_feedforward(configuration, output: str | None, options: dict) 
         raise click.UsageError("Missing option '-o' / '--output'.")
     with shown("designing"):
         text, lines = _with_feedforward(
-            configuration.text, configuration.source, options["preview"], options["bandwidth"]
+            configuration.original, configuration.source, options["preview"], options["bandwidth"]
         )
     write_file(output, text)
     click.echo("\n".join(lines))

@@ -118,9 +118,9 @@ def _text(
     """Return the text of a file in which one section has new values and a new comment."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     full = f"{namespace}/{node}"
-    root = yaml.compose(configuration.text)
+    root = yaml.compose(configuration.original)
     sections = [(key, value) for key, value in root.value if _belongs(key.value, full)]
-    lines = configuration.text.splitlines(keepends=True)
+    lines = configuration.original.splitlines(keepends=True)
     kept = 0
     while lines[kept].startswith(replaced):
         kept += 1

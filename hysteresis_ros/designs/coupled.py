@@ -271,7 +271,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 
 def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
     """Return the text of a file with the designed section and the motion limits of each axis, and a common header."""
-    text, source = configuration.text, configuration.source
+    text, source = configuration.original, configuration.source
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
         head = header if number == len(designs) else ""

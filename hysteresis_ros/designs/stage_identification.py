@@ -33,7 +33,13 @@ from typing import Any
 
 import numpy as np
 
-from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, parse_configuration
+from hysteresis_ros.configuration import (
+    STAGE,
+    Configuration,
+    dump_configuration,
+    parse_configuration,
+    save_parameter_file,
+)
 from hysteresis_ros.control.coupling import lost_direction, relative_gain_array, static_decoupling
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import REQUIRED, loop_of, plant_state_space
@@ -64,7 +70,7 @@ from hysteresis_ros.identification.frequency_response import (
     ResponseMatrix,
 )
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
-from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
+from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of
 from hysteresis_ros.identification.response_check import LOWEST, measured_plant
 from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.stage_data import StageReading, loops_of, without_drift
@@ -271,14 +277,14 @@ class IdentifiedStage:  # numpydoc ignore=PR02
         Parameters
         ----------
         path : path-like
-            ``.yaml``
+            A ``.yaml`` or ``.yml`` file; an existing file is replaced.
 
         Raises
         ------
         IdentificationError
-            The file cannot be written.
+            The file has another suffix, or cannot be written.
         """
-        write_file(path, self.text)
+        save_parameter_file(path, self.text, IdentificationError)
 
     def lines(self) -> list[str]:
         """Return the printed report.

@@ -373,7 +373,7 @@ def main(arguments=None) -> int:
         axis = AxisParameters.from_configuration(configuration)
     except HysteresisError as error:
         return refused(error)
-    return run([partial(AxisArrayNode, axis, configuration.text)], arguments)
+    return run([partial(AxisArrayNode, axis, configuration.original)], arguments)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,15 @@
 
 """Parameter files: read as by ROS, and refused with the place of the error."""
 
+import itertools
 import math
+import re
 
+import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import (
+    KNOWN_NAMES,
     config_path,
     dump_configuration,
     load_configuration,
@@ -51,6 +55,54 @@ def test_later_entries_win_and_groups_are_flattened():
 """
     values = parse_configuration(text, "file").node("plant_simulator", "left")
     assert values == {"sample_rate": 1000.0, "limits.bits": 16, "limits.minimum": -30.0}
+
+
+@pytest.mark.parametrize(
+    ("node", "said"),
+    [
+        ("motion_controler", "there is no node 'motion_controler'; did you mean motion_controller?"),
+        ("x/plant_simulatr", "there is no node 'plant_simulatr'; did you mean plant_simulator?"),
+        ("qqq", "there is no node 'qqq'; there are plant_simulator, "),
+    ],
+)
+def test_a_change_of_an_unknown_node_is_refused(node, said):
+    with pytest.raises(ConfigurationError, match=re.escape(said)):
+        load_configuration("kim2009").override(node, type="open_loop")
+
+
+def test_a_change_may_be_of_all_nodes_of_a_namespace_and_of_a_section_of_the_file():
+    given = parse_configuration(load_configuration("kim2009").text + "/notes: {ros__parameters: {a: 1}}\n", "file")
+    for node in ("", "**", "left/plant_simulator", "recorder", "stage", "notes"):
+        assert given.override(node, a=2).entries[-1][1] == {"a": 2}
+
+
+@pytest.mark.parametrize("name", ["kim2009", "xy_scanner", "inchworm_travel"])
+def test_the_text_of_a_changed_configuration_has_its_present_values(name, tmp_path):
+    given = load_configuration(name)
+    assert given.text == given.original == config_path(name).read_text(encoding="utf-8")
+    changed = given.override("", sample_rate=np.float64(2e4)).override("plant_simulator", sensor__noise=7e-9)
+    changed = changed.override("x/reference_generator", minimum=-1e-6, further=np.array([1.0, 2.0]))
+    changed.save(tmp_path / "changed.yaml")
+    again = load_configuration(tmp_path / "changed.yaml")
+    for node, space in itertools.product(KNOWN_NAMES, ("", *given.namespaces())):
+        expected = {
+            key: list(v) if np.iterable(v) and not isinstance(v, str) else v
+            for key, v in changed.node(node, space).items()
+        }
+        assert again.node(node, space) == expected
+    assert again.node("plant_simulator", "x")["sensor.noise"] == 7e-9
+
+
+def test_a_change_that_a_later_section_would_hide_is_not_written():
+    text = "/**/plant_simulator: {ros__parameters: {a: 1}}\n/**: {ros__parameters: {a: 2}}\n"
+    changed = parse_configuration(text, "file").override("plant_simulator", a=3)
+    with pytest.raises(ConfigurationError, match="changed values of plant_simulator cannot be written"):
+        changed.text  # noqa: B018
+
+
+def test_a_parameter_file_is_written_as_yaml_only(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"must end in .yaml or .yml"):
+        load_configuration("kim2009").save(tmp_path / "axis.json")
 
 
 def test_numbers_are_read_as_the_ros_parser_reads_them():

@@ -118,7 +118,7 @@ def design_coupled(situation: StageSituation) -> Outcome:
     noise = max(situation.figures("noise")[name]["noise_rms_m"] for name in situation.names) or None
     request = StageRequest(controller=situation.controller)
     known = response_uncertainties(configuration, parameters)
-    text, designs, why = design_identified(configuration.text, parameters, request, noise, analyses, known)
+    text, designs, why = design_identified(configuration.original, parameters, request, noise, analyses, known)
     if not designs:
         raise CommissioningError(f"{why[0]}; choose another with --resume --controller NAME")
     designed = StageParameters.from_configuration(parse_configuration(text, "the designed stage"))
@@ -160,7 +160,7 @@ def _axes(situation: StageSituation):
 
 def commissioned_text(situation: StageSituation) -> str:
     """Return the parameter file of the finished stage, with its limits, the origin of these limits, and the plan."""
-    text = closed_configuration(situation, watched=False).text
+    text = closed_configuration(situation, watched=False).original
     body = "".join(one for one in text.splitlines(keepends=True) if not one.startswith("#"))
     head = (
         f"# Commissioned by `hysteresis commission {situation.configuration.source}`. SI units.\n"

@@ -296,12 +296,12 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     """Return a configuration, and its text, with another plant."""
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
-    header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
+    header = "".join(text + "\n" for text in configuration.original.splitlines() if text.startswith("# "))
     # the limits are kept, because the amplifier is the same
     limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
     plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})
-    text = with_comments(text, configuration.text)
+    text = with_comments(text, configuration.original)
     return parse_configuration(text, configuration.source)
 
 

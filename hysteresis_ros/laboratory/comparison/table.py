@@ -224,7 +224,7 @@ def write_comparison_page(comparison: Comparison, path) -> None:
         tables=tables,
         ranking=RANKING,
         judged=judgement(comparison.conditions),
-        configuration=comparison.configuration.text,
+        configuration=comparison.configuration.original,
     )
 
 

@@ -180,7 +180,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
     controllers = designed(configuration)
     runs = {name: _scan(configuration, controllers[name]) for name in RUNS}
     claims = [*_loop_claims(controllers), *_scan_claims(runs), *_honest_claims()]
-    return Reproduction("fleming2010", TITLE, tuple(claims), runs, configuration.text)
+    return Reproduction("fleming2010", TITLE, tuple(claims), runs, configuration.original)
 
 
 def figures(found: Reproduction) -> list:

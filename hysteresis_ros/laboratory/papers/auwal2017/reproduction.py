@@ -59,7 +59,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
     shown = dict(runs)
     shown |= {f"{LIMITED} {method}": run for method, run in limited.items()}
     shown |= {f"{HONEST} {method}": run for method, run in together.items()}
-    return Reproduction("auwal2017", TITLE, tuple(claims), shown, configuration.text)
+    return Reproduction("auwal2017", TITLE, tuple(claims), shown, configuration.original)
 
 
 def figures(found: Reproduction) -> list:

@@ -89,7 +89,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
         *tracking.condition_claims(configuration),
         *tracking.task_claims(configuration, stroke),
     ]
-    return Reproduction("kim2009", TITLE, tuple(claims), runs, configuration.text)
+    return Reproduction("kim2009", TITLE, tuple(claims), runs, configuration.original)
 
 
 def figures(found: Reproduction) -> list:

@@ -337,7 +337,7 @@ def main() -> None:
     for warning in published.warnings:
         print(f"warning: {warning}")
     if arguments.output is not None:
-        for name, text in files(models, configuration.text).items():
+        for name, text in files(models, configuration.original).items():
             (arguments.output / f"{name}.yaml").write_text(text, encoding="utf-8")
 
 
