@@ -183,15 +183,16 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     ).validated()
 
 
-def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "plant_simulator") -> Configuration:
+def with_dynamics(config: Source, dynamics: Any, *, node: str = "plant_simulator") -> Configuration:
     """Return a configuration with other linear dynamics.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
-    dynamics : LinearParameters
-        Result of :func:`from_control`.
+    dynamics : LinearParameters, or a system of python-control or scipy.signal
+        Result of :func:`from_control`, or a system that it accepts; a continuous system is sampled at the sample rate
+        of the axis, and the DC gain is set to 1.
     node : str
         ``plant_simulator`` (the plant), or ``motion_controller`` (the model that the controller assumes).
 
@@ -203,7 +204,7 @@ def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "pl
     Raises
     ------
     ConfigurationError
-        The node does not exist.
+        The node does not exist, or ``dynamics`` is not such a system.
 
     Examples
     --------
@@ -211,9 +212,11 @@ def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "pl
     >>> lag = hr.from_control(hr.to_scipy("kim2009"))
     >>> run = hr.simulate(hr.with_dynamics("kim2009", lag), duration=0.01)
     """
-    group = _group(node)
+    group, configuration = _group(node), configuration_of(config)
+    if not isinstance(dynamics, LinearParameters):
+        dynamics = from_control(dynamics, 1.0 / single_axis(configuration).plant_simulator.sample_rate)
     values = {f"{group}.{name}": value for name, value in dynamics.to_mapping().items()}
-    return configuration_of(config).override(node, **values)
+    return configuration.override(node, **values)
 
 
 def _group(node: str) -> str:

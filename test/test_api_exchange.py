@@ -132,6 +132,12 @@ def test_a_simulation_takes_the_dynamics_that_came_back():
     assert np.ptp(hr.simulate(slower, setpoints=np.full(60, 2e-6)).displacement - run.displacement) > 1e-9
 
 
+def test_a_system_becomes_dynamics_at_the_rate_of_the_axis():
+    lag, axis = scipy.signal.lti([1.0], [0.01, 1.0]), hr.load("kim2009")
+    direct, converted = hr.with_dynamics(axis, lag), hr.with_dynamics(axis, hr.from_control(lag, T))
+    assert direct.node("plant_simulator") == converted.node("plant_simulator")
+
+
 def matrices(A=0.5, B=1.0, C=1.0, D=0.0, dt=T):
     return scipy.signal.dlti(*(np.atleast_2d(v) for v in (A, B, C, D)), dt=dt)
 
@@ -147,6 +153,7 @@ def matrices(A=0.5, B=1.0, C=1.0, D=0.0, dt=T):
         (lambda: hr.from_control(3.0), ConfigurationError, "a float: must be a StateSpace"),
         (lambda: hr.from_control(scipy.signal.lti([1.0], [1.0, 1.0]), -1.0), ConfigurationError, "must be above 0 s"),
         (lambda: hr.to_scipy("kim2009", node="plant_simulater"), ConfigurationError, "did you mean plant_simulator"),
+        (lambda: hr.with_dynamics("kim2009", 3.0), ConfigurationError, "a float: must be a StateSpace"),
         (lambda: hr.with_dynamics("kim2009", CASES["lag"], node="plant"), ConfigurationError, "must be one of"),
     ],
 )
