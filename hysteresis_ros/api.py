@@ -334,6 +334,35 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
             raise HysteresisError(f"sample_time = {step}: must be above 0 s")
         return predict(self.plant, values, step, intersample, initial)
 
+    def score(self, data: Measured, *, inverse: bool = True, **conditions: Unpack[Conditions]) -> Compared:
+        """Compare the model with another recording, as :func:`validate` does.
+
+        Parameters
+        ----------
+        data : path-like, Recording, IdentificationData or Reading
+            A recording that the model was not fitted to.
+        inverse : bool
+            Also validate the inverse.
+        **conditions
+            ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
+
+        Returns
+        -------
+        Compared
+            With ``predicted``, ``figures`` and ``warnings``.
+
+        Raises
+        ------
+        IdentificationError, DataError, RecordingError
+            A choice or the data cannot be used; the message states what is allowed.
+
+        Examples
+        --------
+        >>> found = hr.identify("loops.csv")  # doctest: +SKIP
+        >>> found.score("other.csv").figures["rmse_m"]  # doctest: +SKIP
+        """
+        return Compared(**vars(super().score(data, inverse=inverse, **conditions)))
+
     def __repr__(self) -> str:
         units = self.plant.units
         error, share = self.figures.get(figure_name("rmse_m", units)), self.figures.get("rmse_percent_of_stroke")
@@ -1325,4 +1354,7 @@ def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None
     """Return a recording, read from its file if necessary; for a stage, return the named axis."""
     if isinstance(source, Recording):
         return source.axis(namespace) if namespace and source.axes else source
+    if not isinstance(source, (str, os.PathLike)):
+        kind = type(source).__name__
+        raise HysteresisError(f"source is of type {kind}: must be a run or its file; hr.report evaluates other results")
     return load_run(source, namespace, further=True)

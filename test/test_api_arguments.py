@@ -222,6 +222,11 @@ def test_variations_by_names_are_those_of_the_words():
         parse_variations("plant_simulator=±5%", axis)
 
 
+def test_a_range_of_one_number_is_refused():
+    with pytest.raises(HysteresisError, match="sensor.noise = 0.5: must be several values, a text such as"):
+        hr.sweep("kim2009", {"plant_simulator.sensor.noise": 0.5}, duration=0.01)
+
+
 def test_a_sweep_takes_objects():
     found = hr.sweep("kim2009", {"plant_simulator": hr.Within(0.05)}, runs=3, duration=0.01, workers=1)
     words = hr.sweep("kim2009", ["plant_simulator=±5%"], runs=3, duration=0.01, workers=1)

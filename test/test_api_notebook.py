@@ -44,6 +44,40 @@ def test_a_model_is_validated_without_a_file_between(found, data, tmp_path):
     assert hr.validate(hr.load(tmp_path / "axis.yaml"), data).figures == written.figures
 
 
+def test_a_score_is_what_validate_returns(found, data):
+    scored = found.score(data)
+    assert type(scored) is hr.Compared
+    assert scored.figures["rmse_m"] == hr.validate(found, data).figures["rmse_m"]
+    assert scored.score(data).figures == scored.figures and "<table>" in scored._repr_html_()
+
+
+def test_a_model_is_saved_as_yaml_only(found, tmp_path):
+    with pytest.raises(HysteresisError, match=r"x.json: .* must end in .yaml or .yml"):
+        found.save(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize(
+    "ask, message",
+    [
+        (lambda data: hr.identify((data.voltage, data.measured)), "source is of type tuple: must be one file, or a"),
+        (lambda data: hr.identify(["a.csv", "b.csv"]), "source is of type list: must be one file"),
+        (lambda data: hr.validate("kim2009", dict(data.signals)), "source is of type dict: must be one file"),
+        (lambda data: hr.identify(data, columns={"V": "m"}), "columns is of type dict: must be Columns"),
+        (lambda data: hr.identify(data, skip=2.5), "skip = 2.5: must be a whole number of samples"),
+        (lambda data: hr.identify(data, options=["play_count=3"]), "options = .*: must be a dictionary, such as"),
+        (lambda data: hr.identify(data, "prandtl_ishlinskii", options={"plays": 3}), "there is no option 'plays'"),
+    ],
+)
+def test_arguments_of_an_identification_are_named(data, ask, message):
+    with pytest.raises(HysteresisError, match=message):
+        ask(data)
+
+
+def test_a_model_is_no_run_to_draw(found):
+    with pytest.raises(HysteresisError, match="source is of type Identified: must be a run or its file; hr.report"):
+        hr.plot(found)
+
+
 def test_a_model_predicts_what_it_said_of_its_recording(found, data):
     np.testing.assert_array_equal(found.predict(data.voltage), found.predicted)
     np.testing.assert_array_equal(found.predict(data), found.predicted)

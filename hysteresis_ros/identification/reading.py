@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -114,8 +115,16 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     if isinstance(source, Reading):
         return source
     columns = columns or Columns()
+    if not isinstance(columns, Columns):
+        kind = type(columns).__name__
+        raise IdentificationError(f"columns is of type {kind}: must be Columns, as hr.Columns('ch1:V', 'ch2:um')")
     if isinstance(source, (Recording, IdentificationData)):
         return _read(source, columns, progress)
+    if not isinstance(source, (str, os.PathLike)):
+        raise IdentificationError(
+            f"source is of type {type(source).__name__}: must be one file, or a recording; write arrays as "
+            "hr.Run(time, {'voltage': …, 'measured': …}), in s, V and m"
+        )
     columns = replace(
         columns,
         input=_with_unit(columns.input, columns.input_unit),

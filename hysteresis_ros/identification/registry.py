@@ -84,7 +84,8 @@ def parse_options(model: str, pairs) -> dict:
         if not mark or name not in entry.options:
             there = ", ".join(entry.options) or "none"
             near = did_you_mean(name, entry.options)
-            raise IdentificationError(f"option {pair!r}: write name=value; options of {entry.name}: {there}{near}")
+            problem = f"there is no option {name!r}" if mark else "write name=value"
+            raise IdentificationError(f"option {pair!r}: {problem}; options of {entry.name}: {there}{near}")
         options[name] = entry.options[name].convert(name, text)
     return options
 

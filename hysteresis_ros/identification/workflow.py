@@ -17,14 +17,15 @@ recording.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypedDict, Unpack
 
 import numpy as np
 import scipy
 
-from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration
-from hysteresis_ros.errors import HysteresisError, IdentificationError
+from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration, save_parameter_file
+from hysteresis_ros.errors import HysteresisError, IdentificationError, shortened
 from hysteresis_ros.executors import one_thread
 from hysteresis_ros.identification import registry
 from hysteresis_ros.identification.data import IdentificationData, clipped_samples
@@ -34,7 +35,6 @@ from hysteresis_ros.identification.parameter_file import (
     identification_section,
     load_chain,
     model_warnings,
-    write_file,
 )
 from hysteresis_ros.identification.plant_model import Identification, PlantModel
 from hysteresis_ros.identification.prediction import InverseValidation, at_rate, judge, predict
@@ -335,14 +335,14 @@ class Identified(Compared):
         Parameters
         ----------
         path : path-like
-            ``.yaml``
+            A ``.yaml`` or ``.yml`` file; an existing file is replaced.
 
         Raises
         ------
         IdentificationError
-            The file cannot be written.
+            The file has another suffix, or cannot be written.
         """
-        write_file(path, self.text)
+        save_parameter_file(path, self.text, IdentificationError)
 
 
 def identify(
@@ -358,6 +358,8 @@ def identify(
 ) -> Identified:
     """Identify a model from a recording."""
     given = _checked(conditions)
+    if not isinstance(options or {}, Mapping):
+        raise IdentificationError(f"options = {shortened(options)}: must be a dictionary, such as {{'play_count': 20}}")
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
     with shown_in(reading.data.input_unit, reading.data.output_unit), one_thread():
@@ -646,6 +648,10 @@ def _checked(conditions: Conditions) -> Conditions:
     unknown = [name for name in conditions if name not in known]
     if unknown:
         raise IdentificationError(f"{', '.join(unknown)}: unknown condition; there are {', '.join(known)}")
+    skip = conditions.get("skip")
+    if skip is not None and (isinstance(skip, bool) or not isinstance(skip, (int, np.integer))):
+        raise IdentificationError(f"skip = {shortened(skip)}: must be a whole number of samples, or None: automatic")
+    conditions = {**conditions, **({} if skip is None else {"skip": int(skip)})}
     offset = conditions.get("offset", "kept")
     if offset not in OFFSETS:
         raise IdentificationError(f"offset = {offset!r}: must be one of {', '.join(OFFSETS)}")

@@ -527,6 +527,8 @@ def parse_variations(
         raise refused(vary, "", "must be a list of NODE.PARAMETER=RANGE, or a mapping from NODE.PARAMETER to its range")
     if isinstance(vary, Mapping):
         for target, over in vary.items():
+            if not isinstance(over, (str, Range)) and not np.iterable(over):
+                raise refused(target, over, "must be several values, a text such as '0.1:2:log20', or hr.Uniform")
             given.append((target, over if isinstance(over, (str, Range)) else Levels(tuple(over))))
     else:
         for text in vary:
