@@ -369,7 +369,10 @@ def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
             "no compensator 'exact invers'.*did you mean exact inverse.*there are: none",
         ),
         (lambda: hr.reproduce("kim2010"), "no paper 'kim2010'; .* did you mean kim2009?"),
-        (lambda: hr.design_learning("kim2009", "inverse"), "learning = 'inverse': must be one of .*did you mean inversion?"),
+        (
+            lambda: hr.design_learning("kim2009", "inverse"),
+            "learning = 'inverse': must be one of .*did you mean inversion?",
+        ),
         (lambda: hr.plot(hr.Run([0.0, 1.0], {"displacement": [0.0, 0.0]}), "trace"), "did you mean traces?"),
     ],
 )
