@@ -750,7 +750,7 @@ def simulate(
     ((30,), 'm')
     """
     configuration, words = configuration_of(config), _words(faults)
-    duration = None if duration is None else seconds("duration", duration)
+    duration = None if duration is None else _seconds("duration", duration)
     if quiet and (axes is not None or configuration.stage is not None):
         raise ConfigurationError("quiet is for a single axis: leave it out")
     if axes is not None:
@@ -811,7 +811,7 @@ def _warn(texts: Iterable[str]) -> None:
         warnings.warn(text, stacklevel=3)
 
 
-def seconds(name: str, value: Any) -> float:
+def _seconds(name: str, value: Any) -> float:
     """Return a time [s], given as a number or as a text with its unit such as ``100ms``."""
     try:
         return quantity_in(value, "s") if isinstance(value, str) else float(value)
