@@ -112,8 +112,23 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         found += [str(problem) for problem in _too_fast(axis, given, generator, TOLERANCE)]
     found += steep_warnings(axis)
+    found += _unlearned(axis, given)
     problem = generator.unreached_level()
     return (*found, f"reference_generator: {problem}") if problem else tuple(found)
+
+
+def _unlearned(axis, given: ReferenceParameters):
+    """Yield a warning if a correction is learned for another period than that of the waveform."""
+    learning, waveform = axis.motion_controller.learning, given.waveform
+    if not (learning.in_use and waveform.shape.periodic and waveform.shape.takes_frequency):
+        return
+    periods = learning.period * waveform.frequency
+    if round(periods) < 1 or abs(periods - round(periods)) * axis.plant_simulator.sample_rate > waveform.frequency:
+        yield (
+            f"motion_controller: learning.period = {readable(learning.period, 's')} is not a whole number of periods "
+            f"of the waveform, {readable(1.0 / waveform.frequency, 's')}: nothing is learned, and a learned correction "
+            "is removed; design the learning for this waveform (hysteresis design --learning)"
+        )
 
 
 def _bare_steps(axis, given: ReferenceParameters):

@@ -264,3 +264,17 @@ def test_preview_and_inverse_dynamics_bring_the_loop_to_the_delayed_reference():
     error = table["displacement"][late] - delayed[late]
     without = table["displacement"][late] - table["reference"][late]
     assert np.std(error) < 0.02 * np.std(without)
+
+
+@pytest.mark.parametrize(("frequency", "warned"), [(100.0, False), (200.0, False), (50.0, True), (130.0, True)])
+def test_a_correction_for_another_period_is_named(frequency, warned):
+    """It is learned for 10 ms."""
+    learns = {
+        "learning__type": "repetitive",
+        "learning__period": 0.01,
+        "learning__error_filter": (0.05, 0.1, 0.05),
+        "learning__robustness_filter": (0.5, 0.25),
+        "learning__maximum": 5e-7,
+    }
+    found = reach_warnings(axis(reference_generator=sine(1e-7, frequency, 1e-6), motion_controller=learns))
+    assert sum("learning.period = 10 ms is not a whole number of periods" in text for text in found) == warned
