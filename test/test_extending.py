@@ -153,7 +153,7 @@ def test_a_controller_is_one_file(copy):
 def test_a_reference_is_one_file(copy):
     output = run(printed("A reference", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert "from 0.0 to 2e-05 m" in output
-    assert passed(output) == 7
+    assert passed(output) == 8
 
 
 def test_a_driver_is_one_file(copy):

@@ -24,6 +24,8 @@ import numpy as np
 import scipy
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.thresholds import DRIFT
+from hysteresis_ros.models.play_operators import plays
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
 from hysteresis_ros.recordings.foreign_tables import (
@@ -37,6 +39,7 @@ from hysteresis_ros.recordings.foreign_tables import (
     si_unit,
     split_choice,
 )
+from hysteresis_ros.recordings.loops import turning_points
 from hysteresis_ros.units import readable
 
 #: Plausible ranges of the voltage [V], of the displacement [m] and of their ratio [m/V].
@@ -122,6 +125,10 @@ CLIPPED_RUN = 3
 CLIPPED_POPULATION = 8.0
 #: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
+#: Number of plays and largest number of samples of the fit that tells a drift from hysteresis.
+TRIED_PLAYS, TRIED_SAMPLES = 10, 4000
+#: Least part of time that input, plays and size of the loops leave unexplained; below it the drift is not known.
+LEAST_LEFT = 0.3
 
 
 class DataError(IdentificationError):
@@ -418,11 +425,36 @@ def _check_delay(u, y, sample_time):
     return delay, [Finding("delay", "note", text)]
 
 
+def _drift_beside_loops(time, u, y) -> float:
+    """Return the drift of an output over a recording without a model; 0 if insignificant, NaN if it is not known.
+
+    Loops that grow or shrink all the time move the mean output as a drift does, so with them it is not known. The
+    output is fitted by a cubic of the input, plays, the speed of the input, the size of the present loop and time.
+    Units: ``time`` [s]; the result has the unit of ``y``.
+    """
+    span = np.ptp(u)
+    scaled, turns = (u - u.mean()) / span, turning_points(u)
+    speed = np.gradient(scaled)
+    size = np.interp(np.arange(u.size), 0.5 * (turns[1:] + turns[:-1]), np.abs(np.diff(u[turns])) / span)
+    radii = span * np.linspace(0.0, 0.5, TRIED_PLAYS + 1)[:-1] + 0.25 * span / TRIED_PLAYS
+    powers = np.vander(scaled, 4)
+    whole = np.column_stack([powers, plays(u, radii) / span, speed / np.max(np.abs(speed)), size, size**2])
+    step = -(-u.size // TRIED_SAMPLES)
+    table, line, y = whole[::step], ((time - time[0]) / np.ptp(time))[::step], y[::step]
+
+    def unexplained(values):
+        return values - table @ np.linalg.lstsq(table, values, rcond=1e-8)[0]
+
+    left, residual = unexplained(line), unexplained(y)
+    if np.std(left) < LEAST_LEFT * np.std(line):
+        return np.nan
+    drift = float(left @ residual / (left @ left))
+    return drift if DRIFT.improves(float(np.std(residual - drift * left)), float(np.std(residual))) else 0.0
+
+
 def _check_drift(time, u, y, unit):
     """Return the drift over the data (NaN: not known), and findings."""
-    from hysteresis_ros.identification.drift import drift_beside_loops  # its plays belong to a module that reads data
-
-    drift, stroke = drift_beside_loops(time, u, y), float(np.ptp(y))
+    drift, stroke = _drift_beside_loops(time, u, y), float(np.ptp(y))
     if not abs(drift) > DRIFT_SHARE * stroke:
         return drift, []
     text = f"the output drifts by {readable(drift, unit)} ({100 * drift / stroke:.2g} % of stroke) over the data"

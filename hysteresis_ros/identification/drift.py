@@ -14,9 +14,6 @@ line, because the mean voltage of a recording differs from its first voltage. Th
 fitted together with slow relaxations of the modelled displacement. Each relaxation may be as large as in known
 materials (:data:`CREEP`), so creep that the recording cannot distinguish from a drift adds to the standard deviation of
 the drift.
-
-Before a fit, a trial with plays tells a drift from hysteresis. Loops that grow or shrink all the time move the mean
-displacement as a drift does, so with them a trial without a model cannot know the drift.
 """
 
 from __future__ import annotations
@@ -26,20 +23,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.identification.linear_systems import LinearPart
-from hysteresis_ros.identification.preprocessing import plays
-from hysteresis_ros.identification.thresholds import DRIFT
 from hysteresis_ros.identification.validation import inflation
-from hysteresis_ros.recordings.loops import turning_points
 
 #: Time constants of the relaxations, as fractions of the duration of the recording.
 SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
 #: Assumed standard deviation of the relaxation with each of these time constants, in addition to the fitted creep, as a
 #: fraction of a step. Creep of 2 % per decade corresponds to relaxations of 0.01 at this spacing of the time constants.
 CREEP = 0.01
-#: Number of plays and largest number of samples of the trial before a fit.
-TRIED_PLAYS, TRIED_SAMPLES = 10, 4000
-#: Least part of time that voltage, plays and size of the loops leave unexplained; below it the drift is not known.
-LEAST_LEFT = 0.3
 #: A drift is significant if it exceeds this number of its standard deviations.
 CERTAIN = 2.0
 
@@ -74,29 +64,3 @@ def drift_beside_creep(data, moved, residual, settled: bool) -> Drift:
     covariance = np.linalg.pinv(table.T @ table / np.outer(size, size) + np.diag(variance * expected / size**2))
     found = covariance @ (table.T @ residual / size) / size
     return Drift(float(found[0]), float(np.sqrt(variance * covariance[0, 0]) / size[0]))
-
-
-def drift_beside_loops(time, u, y) -> float:
-    """Return the drift of an output over a recording without a model; 0 if insignificant, NaN if it is not known.
-
-    The output is fitted by a cubic of the input, plays, the speed of the input, the size of the present loop and time.
-    Units: ``time`` [s]; the result has the unit of ``y``.
-    """
-    span = np.ptp(u)
-    scaled, turns = (u - u.mean()) / span, turning_points(u)
-    speed = np.gradient(scaled)
-    size = np.interp(np.arange(u.size), 0.5 * (turns[1:] + turns[:-1]), np.abs(np.diff(u[turns])) / span)
-    radii = span * np.linspace(0.0, 0.5, TRIED_PLAYS + 1)[:-1] + 0.25 * span / TRIED_PLAYS
-    powers = np.vander(scaled, 4)
-    whole = np.column_stack([powers, plays(u, radii) / span, speed / np.max(np.abs(speed)), size, size**2])
-    step = -(-u.size // TRIED_SAMPLES)
-    table, line, y = whole[::step], ((time - time[0]) / np.ptp(time))[::step], y[::step]
-
-    def unexplained(values):
-        return values - table @ np.linalg.lstsq(table, values, rcond=1e-8)[0]
-
-    left, residual = unexplained(line), unexplained(y)
-    if np.std(left) < LEAST_LEFT * np.std(line):
-        return np.nan
-    drift = float(left @ residual / (left @ left))
-    return drift if DRIFT.improves(float(np.std(residual - drift * left)), float(np.std(residual))) else 0.0

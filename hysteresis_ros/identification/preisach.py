@@ -28,10 +28,11 @@ import numpy as np
 from hysteresis_ros.identification.hammerstein import HammersteinFit, require_rising, robust_fit, without_drift
 from hysteresis_ros.identification.plant_model import stretches
 from hysteresis_ros.identification.play_fit import PlayFit, radii
-from hysteresis_ros.identification.preprocessing import Condensed, coarser, plays
+from hysteresis_ros.identification.preprocessing import Condensed, coarser
 from hysteresis_ros.models.declaration import DISPLACEMENT
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachHysteresis, PreisachParameters
+from hysteresis_ros.models.play_operators import plays
 
 WIDTHS = 24
 NODES = 33

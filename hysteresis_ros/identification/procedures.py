@@ -54,7 +54,7 @@ from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import FREE_CELLS, WIDTHS, Density, FreeDensity, fit_preisach
-from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated
+from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated, wiped_out
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import (
     RESTED,
@@ -65,6 +65,7 @@ from hysteresis_ros.identification.separation import (
     remembered,
     rests_behind,
     separated,
+    without_memory,
 )
 from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, POOR, SAME_DRIFT
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
@@ -202,30 +203,31 @@ def polynomial(data: IdentificationData, request: Request) -> Identification:
     def fit(other: Separated, _):
         return identify_polynomial(other.voltage, other.displacement, history=other.history, **request.options)
 
-    static = _from_rest(separated(data, request), request, fit)
+    static = _with_first_rise(separated(data, request), request, fit)
     found, static = remembered(static, fit, lambda found: PolynomialHysteresis(found.parameters, data.sample_time))
     hysteresis = HysteresisParameters(type="polynomial", polynomial=found.parameters)
     fitted = FittedHysteresis(hysteresis, POLYNOMIAL_FREE, warnings=found.warnings, converged=found.converged)
     return static_result(data, request, fitted, static)
 
 
-def _from_rest(static: Separated, request: Request, fit) -> Separated:
+def _with_first_rise(static: Separated, request: Request, fit) -> Separated:
     """Return the separation with the first rise, unless the later samples are fitted clearly better without it.
 
     Only the first rise shows the virgin curve. The trial models of the separation have no virgin curve of their own,
-    so they omit a first rise that this model explains.
+    so what they find at the beginning does not hold for this model.
     """
-    start, data = static.start, static.cleaned.data
-    asked = request.skip is not None or request.initial is not None
-    if asked or start.kind != "zero" or not start.skip or not begins_at_zero(data.input):
+    data, wiped = static.cleaned.data, wiped_out(static.cleaned.data.input)
+    if request.skip is not None or request.initial is not None or static.start.kind != "zero" or not wiped:
         return static
-    rested = replace(static, start=RESTED)
+    if static.start.skip and not begins_at_zero(data.input):
+        return static
+    omitted, rested = (replace(static, start=start) for start in (without_memory(data, wiped), RESTED))
 
     def later_error(other: Separated) -> float:
         block = PolynomialHysteresis(fit(other, None).parameters, data.sample_time)
-        return float(np.std((block.simulate(data.input) - static.output)[start.skip :]))
+        return float(np.std((block.simulate(data.input) - static.output)[wiped:]))
 
-    return static if PAST_WHILE_FITTING.improves(later_error(static), later_error(rested)) else rested
+    return omitted if PAST_WHILE_FITTING.improves(later_error(omitted), later_error(rested)) else rested
 
 
 def bouc_wen(data: IdentificationData, request: Request) -> Identification:

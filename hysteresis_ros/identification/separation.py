@@ -119,13 +119,16 @@ def find_start(
     if wiped is None:
         return _remembered(data, trials)
     rested = trials.at_rest(wiped) if whole else trials.begins_at_rest(wiped)
-    if rested:
-        return RESTED
-    seconds = wiped * data.sample_time
-    note = (
-        f"the first {wiped} samples ({seconds:.3g} s) omitted, until the voltage had been near both ends of its range"
-    )
-    return Start("zero", wiped, (), note if wiped else "no samples omitted: the voltage begins at an end of its range")
+    return RESTED if rested else without_memory(data, wiped)
+
+
+def without_memory(data: IdentificationData, wiped: int) -> Start:
+    """Return the start at the sample from which earlier voltages no longer matter."""
+    note = "no samples omitted: the voltage begins at an end of its range"
+    if wiped:
+        seconds = f"{wiped * data.sample_time:.3g} s"
+        note = f"the first {wiped} samples ({seconds}) omitted, until the voltage had been near both ends of its range"
+    return Start("zero", wiped, (), note)
 
 
 def rests_behind(data: IdentificationData, first: int, part: LinearPart, structure=None) -> bool:
@@ -181,16 +184,14 @@ class _PastTrials:
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
     def at_rest(self, first: int) -> bool:
-        """Whether the recording begins at 0 V, and a model that starts at rest fits the samples before ``first``.
+        """Whether a model that starts at rest at 0 V fits the samples before ``first``.
 
-        It fits if their error is about that of the later samples, or below AT_REST of the stroke.
+        True if it fits these samples about as well as the later samples, or to within AT_REST of the stroke.
         """
-        if first == 0:
-            return True
-        if not begins_at_zero(self.data.input):
-            return False
         error = self.error()
-        return _trimmed(error[:first]) <= max(AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke)
+        return first == 0 or _trimmed(error[:first]) <= max(
+            AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
+        )
 
     def begins_at_rest(self, first: int, part: LinearPart | None = None) -> bool:
         """Whether a start at rest at 0 V explains the samples before ``first``, which would otherwise be omitted.

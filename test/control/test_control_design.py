@@ -83,7 +83,7 @@ def test_riccati_residual_vanishes_and_filter_is_stable(system, q, r):
     predicted = A @ P @ A.T
     residual = predicted - A @ P @ C.T @ C @ P @ A.T / innovation + Q - P
     # the terms may be far larger than their sum
-    assert np.abs(residual).max() <= 1e-8 * np.abs(P).max() + 1e-12 * np.abs(predicted).max()
+    assert np.abs(residual).max() <= 1e-7 * np.abs(P).max() + 1e-12 * np.abs(predicted).max()
     assert gain == pytest.approx((P @ C.T)[:, 0] / innovation)
     assert state_feedback.spectral_radius(A - np.outer(A @ gain, C)) < 1.0
 

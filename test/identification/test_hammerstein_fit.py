@@ -26,9 +26,10 @@ from hysteresis_ros.identification.play_fit import cholesky_factor, radii, smoot
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import recover_voltage
 from hysteresis_ros.identification.preisach import fit_preisach
-from hysteresis_ros.identification.preprocessing import condense, plays
+from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+from hysteresis_ros.models.play_operators import plays
 
 SAMPLE_TIME = 0.005
 RADII = (0.0, 10.0, 20.0, 30.0, 40.0)

@@ -455,17 +455,3 @@ def test_the_virgin_curve_of_polynomials_comes_from_the_first_rise(seed):
     found = identify(data(v, y + noise), "polynomial", linear="none")
     assert "at rest at 0 V" in found.figures["start"]
     assert np.max(np.abs(found.predicted - y)) < 5e-9
-
-
-def test_polynomials_without_a_first_rise_have_a_straight_virgin_curve():
-    """The rest of a rise would extrapolate it; with an omitted beginning it is straight, and a warning says so."""
-    v = bursts(100, 100, 80, 60, 40)[175:]  # from 50 V on the first rise, after remanence by 100 V
-    y = PolynomialHysteresis(assumed_stack(voltage_low=0.0), T).simulate(np.concatenate([loops(100.0), v]))[-v.size :]
-    noise = 5e-9 * np.random.default_rng(1).standard_normal(v.size)
-    found = identify(data(v, y + noise), "polynomial", linear="none")
-    skipped = found.figures["skipped"]
-    assert skipped > 0 and "omitted" in found.figures["start"]
-    assert np.max(np.abs((found.predicted - y)[skipped:])) < 20e-9
-    virgin = found.parameters.virgin
-    assert abs(virgin[2]) * 100.0**2 < 1e-3 * abs(virgin[1]) * 100.0
-    assert any("the virgin curve is straight" in text for text in found.warnings)
