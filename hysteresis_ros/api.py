@@ -759,12 +759,7 @@ def simulate(
                 "axes: requests, speeds, a scan and setpoints by names are not for many axes: leave them out"
             )
         array = AxisArray(_parameters_of_array(configuration, axes, each, words, namespace), threads)
-        samples = None
-        if duration is not None:
-            samples = array.parameters[0].with_duration(duration).plant_simulator.samples
-        made = array.run(setpoints, samples)  # it refuses setpoints of another shape
-        if setpoints is not None:
-            require_accepted("setpoints", np.asarray(setpoints, dtype=float), *array.setpoint_range.T[..., np.newaxis])
+        made = _run_of_array(array, setpoints, duration)
         _warn(unreached(words, made.time.size, array.sample_rate))
         return made
     if each is not None:
@@ -779,10 +774,8 @@ def simulate(
         stage = chosen_stage(configuration, words, namespace)
         _warn((*stage.warnings(), *scan_warnings(stage)))
         if setpoints is not None:
-            setpoints = {
-                name: _setpoints(f"setpoints of {name}", values, stage.axes[stage.place(name)])
-                for name, values in setpoints.items()
-            }
+            axes_of = {name: stage.axes[stage.place(name)] for name in setpoints}
+            setpoints = {name: _setpoints(f"setpoints of {name}", setpoints[name], axes_of[name]) for name in axes_of}
         recording = simulate_stage(stage, duration=duration, setpoints=setpoints)
         _warn(unreached(words, len(recording), stage.sample_rate))
         return Run.of(recording)
@@ -798,6 +791,15 @@ def simulate(
     )
     _warn(unreached(words, len(run), axis.plant_simulator.sample_rate))
     return Run.of(run)
+
+
+def _run_of_array(array: AxisArray, setpoints: ArrayLike | None, duration: float | None) -> ArrayRun:
+    """Run many axes; refuse setpoints [m] that one of them would ignore."""
+    samples = None if duration is None else array.parameters[0].with_duration(duration).plant_simulator.samples
+    made = array.run(setpoints, samples)  # it refuses setpoints of another shape
+    if setpoints is not None:
+        require_accepted("setpoints", np.asarray(setpoints, dtype=float), *array.setpoint_range.T[..., np.newaxis])
+    return made
 
 
 def _words(faults: Faults) -> tuple[str, ...]:

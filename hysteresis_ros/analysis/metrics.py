@@ -567,9 +567,12 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
 
 def sampling_figures(recording: Recording, notes: dict) -> dict:
     """Return number of samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
+    # not by sample_numbers, which refuses a time that is far too late
+    slots = np.rint((recording.time[-1] - recording.time[0]) / recording.sample_time) if len(recording) > 1 else 0
+    gaps = max(slots + 1 - len(recording), 0)
     figures: dict = {
         "samples": len(recording),
-        "missing_samples": int(recording.metadata.get("missing_samples", _gaps(recording))),
+        "missing_samples": int(recording.metadata.get("missing_samples", gaps)),
         "duration_s": float(recording.time[-1] - recording.time[0]),
     }
     timing = recording.metadata.get("timing") or {}
@@ -596,13 +599,6 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
         notes |= {name: "not a fused run in real time" for name, *_ in TIMELINESS}
         figures |= {name: None for name, *_ in TIMELINESS}
     return figures
-
-
-def _gaps(recording: Recording) -> int:
-    """Return how many samples are missing in the time of a recording."""
-    if len(recording) < 2:
-        return 0
-    return max(int(np.rint((recording.time[-1] - recording.time[0]) / recording.sample_time)) + 1 - len(recording), 0)
 
 
 def _plain(value):

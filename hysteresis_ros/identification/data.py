@@ -442,10 +442,8 @@ def _drift_beside_loops(time, u, y) -> float:
     step = -(-u.size // TRIED_SAMPLES)
     table, line, y = whole[::step], ((time - time[0]) / np.ptp(time))[::step], y[::step]
 
-    def unexplained(values):
-        return values - table @ np.linalg.lstsq(table, values, rcond=1e-8)[0]
-
-    left, residual = unexplained(line), unexplained(y)
+    both = np.column_stack([line, y])
+    left, residual = (both - table @ np.linalg.lstsq(table, both, rcond=1e-8)[0]).T
     if np.std(left) < LEAST_LEFT * np.std(line):
         return np.nan
     drift = float(left @ residual / (left @ left))

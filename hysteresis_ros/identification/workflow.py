@@ -51,6 +51,7 @@ from hysteresis_ros.identification.recording_summary import (
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response, sound_data
 from hysteresis_ros.identification.safe_motion import largest_change
 from hysteresis_ros.identification.sensor_zero import zero_warnings
+from hysteresis_ros.identification.separation import begins_at_zero
 from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
@@ -143,8 +144,6 @@ OFFSETS = ("kept", "free")
 LEFT = 2.0
 #: RMS error in the omitted beginning, as a multiple of the predicted error, above which a warning states this error.
 BEGINNING = 2.0
-#: A recording counts as beginning at 0 V if its first voltage is below this fraction of the range.
-AT_ZERO = 0.01
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
 
@@ -515,7 +514,7 @@ def _beginning_notes(
         f"the {name} of {readable(expected, 'm')} holds after the voltage has been near both ends of its "
         f"range; before, in the omitted beginning of this recording, the error is {readable(beginning, 'm')} RMS"
     )
-    if abs(data.input[0]) <= AT_ZERO * np.ptp(data.input):
+    if begins_at_zero(data.input):
         text += "; --initial zero fits the beginning too, if the actuator had no remanence then"
     return (text,)
 
