@@ -169,6 +169,19 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     return count
 
 
+#: Two references that differ by less than this from one period to the next count as equal [m].
+SAME = 1e-9
+
+
+def shortest_period(path: np.ndarray) -> int:
+    """Return the smallest period of a path [samples], if the path is one period of a repeating motion."""
+    count = len(path)
+    for period in range(2, count):
+        if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:
+            return period
+    return count
+
+
 #: First key of the file of a learned correction.
 KIND = "learned_correction"
 #: Maximum number of values in such a file, not counting the two arrays.
@@ -301,9 +314,6 @@ MODES = ("frozen", "learning", "forgetting")
 #: LIMITED is the entry of a sample with a saturated command in the ring of errors. RELIEF is the fraction by which the
 #: correction near such samples decreases per period.
 LIMITED, RELIEF = math.inf, 0.25
-
-#: Two references that differ by less than this from one period to the next count as equal [m].
-SAME = 1e-9
 
 
 @kernel

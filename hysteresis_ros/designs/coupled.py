@@ -29,7 +29,7 @@ from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values
 from hysteresis_ros.control.damping.inner_loop import NONE
-from hysteresis_ros.control.learning import LONGEST, SAME, Learned
+from hysteresis_ros.control.learning import LONGEST, Learned, shortest_period
 from hysteresis_ros.control.uncertainty import ResponseUncertainty
 from hysteresis_ros.designs.controller import (
     AxisDesign,
@@ -298,15 +298,6 @@ class StageLearning:
     designs: dict[str, LearningDesign]  #: Designs by the names of the axes.
     corrections: dict[str, Learned]  #: Corrections with which the model of the stage follows the scan.
     left: dict[str, str]  #: Axes without learning, with the reason.
-
-
-def shortest_period(path: np.ndarray) -> int:
-    """Return the smallest period of a path [samples], if the path is one period of a repeating motion."""
-    count = len(path)
-    for period in range(2, count):
-        if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:
-            return period
-    return count
 
 
 def require_no_feedforward(parameters: StageParameters) -> None:

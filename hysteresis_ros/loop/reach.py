@@ -35,14 +35,19 @@ import cmath
 import math
 from dataclasses import fields, replace
 
+import numpy as np
+
 from hysteresis_ros.configuration import Configuration, Parameters
 from hysteresis_ros.control.feedforward import relative_degree
+from hysteresis_ros.control.learning import SAME, period_samples, read_learned, shortest_period
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.loop.inchworm_checks import inchworm_warnings
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
+from hysteresis_ros.references.waveforms import Waveform
+from hysteresis_ros.references.waveforms.file import LARGEST_TABLE
 from hysteresis_ros.units import micrometres, readable
 
 #: Tolerance of a reference beyond the stroke, as a fraction of the stroke, for rounding and integrated sweeps.
@@ -118,17 +123,36 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
 
 
 def _unlearned(axis, given: ReferenceParameters):
-    """Yield a warning if a correction is learned for another period than that of the waveform."""
-    learning, waveform = axis.motion_controller.learning, given.waveform
-    if not (learning.in_use and waveform.shape.periodic and waveform.shape.takes_frequency):
+    """Yield a warning if a correction is learned for another period or another path than that of the waveform."""
+    learning, rate = axis.motion_controller.learning, axis.plant_simulator.sample_rate
+    if not learning.in_use or given.waveform.type == "none":
         return
-    periods = learning.period * waveform.frequency
-    if round(periods) < 1 or abs(periods - round(periods)) * axis.plant_simulator.sample_rate > waveform.frequency:
+    count, waveform = period_samples(learning.period, rate), Waveform(replace(given.waveform, cycles=0), 1.0 / rate)
+    if waveform.period is not None and waveform.period <= LARGEST_TABLE:
+        path = waveform.simulate(np.zeros(waveform.period))
+        period = shortest_period(path)
+        other, path = count % period != 0, np.resize(path, count)
+    elif given.waveform.shape.periodic:
+        period, path = rate / given.waveform.frequency, waveform.simulate(np.zeros(count))
+        other = round(count / period) < 1 or abs(count - round(count / period) * period) > 1.0
+    else:
+        return
+    if other:
         yield (
             f"motion_controller: learning.period = {readable(learning.period, 's')} is not a whole number of periods "
-            f"of the waveform, {readable(1.0 / waveform.frequency, 's')}: nothing is learned, and a learned correction "
+            f"of the waveform, {readable(period / rate, 's')}: nothing is learned, and a learned correction "
             "is removed; design the learning for this waveform (hysteresis design --learning)"
         )
+    elif learning.file and not (given.waveform.shape.jumps and given.approach.steps):
+        # sorted and without its mean, a path is the same for any phase and setpoint
+        learned, wanted = (np.sort(one - np.mean(one)) for one in (read_learned(learning.file).reference, path))
+        height = learned[-1] - learned[0]
+        if len(learned) == count and np.max(np.abs(wanted - learned)) > SAME:
+            yield (
+                f"motion_controller: learning.file belongs to a path of {readable(height, 'm')}, but the waveform has "
+                f"another path, of {readable(wanted[-1] - wanted[0], 'm')}: the correction of the file is removed, and "
+                "learning starts without it"
+            )
 
 
 def _bare_steps(axis, given: ReferenceParameters):

@@ -22,7 +22,7 @@ from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, sta
 
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins
-from hysteresis_ros.control.learning import LearningParameters, write_learned
+from hysteresis_ros.control.learning import LearningParameters, shortest_period, write_learned
 from hysteresis_ros.designs import controller as designing
 from hysteresis_ros.designs.controller import DesignRequest, design_lines
 from hysteresis_ros.designs.coupled import (
@@ -31,7 +31,6 @@ from hysteresis_ros.designs.coupled import (
     decoupled,
     design_controllers,
     design_stage_learning,
-    shortest_period,
     stage_lines,
 )
 from hysteresis_ros.designs.learning import LearningRequest

@@ -9,15 +9,19 @@
 
 """References that an axis cannot follow are refused by name before any motion: stroke, bandwidth, sample time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.learning import Learned, LearningParameters, write_learned
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import axes, reach_warnings, reachable_displacements
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage_parameters import StageParameters, StageScanParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.references.approach import Approach, ApproachParameters
 
@@ -266,15 +270,53 @@ def test_preview_and_inverse_dynamics_bring_the_loop_to_the_delayed_reference():
     assert np.std(error) < 0.02 * np.std(without)
 
 
+LEARNS = {
+    "learning__type": "repetitive",
+    "learning__period": 0.01,
+    "learning__error_filter": (0.05, 0.1, 0.05),
+    "learning__robustness_filter": (0.5, 0.25),
+    "learning__maximum": 5e-7,
+}
+
+
 @pytest.mark.parametrize(("frequency", "warned"), [(100.0, False), (200.0, False), (50.0, True), (130.0, True)])
 def test_a_correction_for_another_period_is_named(frequency, warned):
     """It is learned for 10 ms."""
-    learns = {
-        "learning__type": "repetitive",
-        "learning__period": 0.01,
-        "learning__error_filter": (0.05, 0.1, 0.05),
-        "learning__robustness_filter": (0.5, 0.25),
-        "learning__maximum": 5e-7,
-    }
-    found = reach_warnings(axis(reference_generator=sine(1e-7, frequency, 1e-6), motion_controller=learns))
+    found = reach_warnings(axis(reference_generator=sine(1e-7, frequency, 1e-6), motion_controller=LEARNS))
     assert sum("learning.period = 10 ms is not a whole number of periods" in text for text in found) == warned
+
+
+@pytest.mark.parametrize(
+    ("kind", "amplitude", "offset", "words"),
+    [
+        ("sine", 1e-7, 1e-6, None),
+        ("sine", 1e-7, 2e-6, None),
+        ("sine", 1.05e-7, 1e-6, "of 0.1989 µm, but the waveform has another path, of 0.2088 µm"),
+        ("triangle", 1e-7, 1e-6, "of 0.1989 µm, but the waveform has another path, of 0.1 µm"),
+    ],
+)
+def test_a_file_that_was_learned_on_another_path_is_named(kind, amplitude, offset, words, tmp_path):
+    """Phase and setpoint do not matter: learned on a sine of 100 nm around 1 µm from another phase on."""
+    sample_time = 1.0 / axis().plant_simulator.sample_rate
+    count = round(0.01 / sample_time)
+    path = 1e-6 + 1e-7 * np.sin(2.0 * np.pi * (np.arange(count) + 7) / count)
+    write_learned(tmp_path / "learned.yaml", Learned(0.01, sample_time, np.zeros(count), path))
+    changed = LEARNS | {"learning__file": str(tmp_path / "learned.yaml")}
+    found = reach_warnings(axis(reference_generator=sine(amplitude, 100.0, offset, kind), motion_controller=changed))
+    about = [text for text in found if "learning" in text]
+    assert len(about) == (words is not None) and all(words in text for text in about)
+
+
+def test_a_correction_for_another_line_rate_of_a_scan_is_named():
+    """The fast axis repeats after a line, the slow axis after a frame of six lines and two of flyback."""
+    parameters = StageParameters.from_configuration(load_configuration("xy_scanner"))
+    lines = ("width=16um", "depth=8um", "lines=6", "flyback=2", "slow=ramped")
+    rasters = [StageScanParameters("raster", (*lines, f"line_rate={rate}Hz")) for rate in (20, 25)]
+    scanned = [parameters.following(raster) for raster in rasters]
+    for place, period in enumerate((0.05, 0.4)):
+        own = {key.removeprefix("learning__"): value for key, value in LEARNS.items()}
+        learning = LearningParameters(**own | {"period": period})
+        for stage, warned in zip(scanned, (False, True), strict=True):
+            axis_learns = replace(stage.axes[place].motion_controller, learning=learning)
+            found = reach_warnings(replace(stage.axes[place], motion_controller=axis_learns))
+            assert sum("learning.period" in text for text in found) == warned
