@@ -1166,6 +1166,12 @@ def report(
     if not isinstance(source, (str, os.PathLike, Recording)):
         from hysteresis_ros.analysis.side_by_side import labels_of, report_several
 
+        listed = isinstance(source, Sequence) and all(isinstance(one, (str, os.PathLike)) for one in source)
+        if not (listed or isinstance(source, Mapping)):
+            raise HysteresisError(
+                f"source is of type {type(source).__name__}: must be a run, a result of hr.identify or hr.validate, a "
+                "file name, a list of file names, or a dictionary of runs such as {'fine': run, 'coarse': other}"
+            )
         named = source if isinstance(source, Mapping) else labels_of(source)
         return report_several({name: _recording(run, namespace) for name, run in named.items()}, path, title)[0]
     run = _recording(source, namespace)

@@ -78,6 +78,13 @@ def test_a_model_is_no_run_to_draw(found):
         hr.plot(found)
 
 
+@pytest.mark.parametrize("evaluate", [hr.metrics, hr.report])
+@pytest.mark.parametrize("source", [5, [5], None, np.zeros(3)])
+def test_what_is_no_run_is_not_evaluated(evaluate, source):
+    with pytest.raises(HysteresisError, match=f"source is of type {type(source).__name__}: must be a run, a result of"):
+        evaluate(source)
+
+
 def test_a_model_predicts_what_it_said_of_its_recording(found, data):
     np.testing.assert_array_equal(found.predict(data.voltage), found.predicted)
     np.testing.assert_array_equal(found.predict(data), found.predicted)

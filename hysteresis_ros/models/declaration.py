@@ -134,7 +134,8 @@ class Option:
         try:
             value = self.kind(text)
         except ValueError:
-            raise IdentificationError(f"option {name} = {text!r}: must be a {self.kind.__name__}") from None
+            kind = "a whole number" if self.kind is int else "a number"
+            raise IdentificationError(f"option {name} = {text!r}: must be {kind}") from None
         if self.choices and value not in self.choices:
             near = did_you_mean(value, self.choices)
             raise IdentificationError(f"option {name} = {text!r}: must be one of {', '.join(self.choices)}{near}")

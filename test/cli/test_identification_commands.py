@@ -317,7 +317,7 @@ def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(uneven, tmp_p
         (["--linear", "arx,lag"], "cannot be combined"),
         (["--model", "proportional", "--linear", "creep"], "cannot be used with"),
         (["-p", "plays=3"], "options of prandtl_ishlinskii"),
-        (["-p", "play_count=many"], "must be a int"),
+        (["-p", "play_count=many"], "must be a whole number"),
         (["--inverse", "multiplicative"], "usual has exact"),
         (["--input", "control"], "no column 'control'"),
         (["--output", "gauge_um:furlong"], "unknown unit"),
