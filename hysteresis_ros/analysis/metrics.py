@@ -298,7 +298,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         figures.update(_step_figures(found, tracked, notes))
         figures.update(_residual_figure(running, stroke, notes))
         driven = recording["voltage"][good][judged] if recording.has("voltage") else None
-        figures.update(_loop_figures(running, driven, stroke, notes))
+        figures.update(_loop_figures(running, start, driven, stroke, notes))
     else:
         notes |= {name: NOT_JUDGED[Kind.SHUTDOWN] for name, *_ in FIGURES if name in _JUDGED}
     if judged.size < off.size:
@@ -494,15 +494,21 @@ def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
     return found
 
 
-def _loop_figures(run: _Tracked, voltage: np.ndarray | None, stroke: float, notes: dict) -> dict:
+def _loop_figures(run: _Tracked, start: int, voltage: np.ndarray | None, stroke: float, notes: dict) -> dict:
+    """Return the loop widths from the sample ``start`` on, or of the whole run if it has no loop after ``start``."""
     figures: dict = {}
-    opening = loop_opening(run.reference, run.displacement)
+    opening = loop_opening(run.reference[start:], run.displacement[start:])
+    if opening is None and start:
+        start, opening = 0, loop_opening(run.reference, run.displacement)
+        notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = (
+            "includes the motion to the beginning of the scan, because the run has no loop after it"
+        )
     if opening is None or stroke <= 0.0:
         why = "no loop: the reference does not rise and fall over at least ten levels"
         notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
         return figures
     figures["loop_width_percent"] = 100.0 * opening / stroke
-    opening = loop_opening(voltage, run.displacement) if voltage is not None else None
+    opening = loop_opening(voltage[start:], run.displacement[start:]) if voltage is not None else None
     if opening is None:
         notes["voltage_loop_width_percent"] = "no reversing voltage in the recording"
     else:

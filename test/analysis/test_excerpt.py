@@ -63,6 +63,11 @@ def test_the_jump_into_a_scan_does_not_count_and_is_said():
     assert figures["max_error_m"] == pytest.approx(np.sqrt(2.0) * RIPPLE, rel=1e-2)
     assert figures["stroke_m"] == pytest.approx(10e-6)
     assert any("errors are evaluated from 0.1 s on" in note for note in figures["notes"]["recording"])
+    for name in ("loop_width_percent", "voltage_loop_width_percent"):
+        assert figures[name] == pytest.approx(compute_metrics(scan())[name], rel=0.05)
+        short = compute_metrics(scan(seconds_=0.2, start=1e-9))
+        assert short[name] > 20.0 and "includes the motion to the beginning" in short["notes"][name]
+        assert name not in figures["notes"]
     (axis,) = chart_figure(error_chart(judged(scan(start=1e-9)))).axes
     assert axis.get_legend() is not None and axis.get_ylabel() == "error [nm]"
     assert np.ptp(axis.get_ylim()) < 200.0, "samples that are not evaluated determine the scale"
