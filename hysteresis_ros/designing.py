@@ -136,8 +136,7 @@ def design(
     >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
     >>> run = hr.simulate(found, duration=0.01)
     """
-    given = configuration_of(config)
-    configuration = parse_configuration(given.text, given.source)
+    configuration = _designed_for(config)
     axis = single_axis(configuration, namespace)
     request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust, damping)
     measured = None
@@ -149,6 +148,14 @@ def design(
     lines = [*step_lines(text, axis.namespace or None, feedforward), *design_lines(found)]
     lines += [] if measured is None else measured_lines(axis, found, measured)
     return Design(tuple(lines), text, found.parameters, found.margins, tuple(doubts(found)))
+
+
+def _designed_for(config: Source) -> Configuration:
+    """Return the configuration into which a design is written; the faults of a recorded run belong to this run only."""
+    given = configuration_of(config)
+    if isinstance(config, Recording) and any(values.get("faults") for _, values in given.entries):
+        given = given.override("", faults=[])
+    return parse_configuration(given.text, given.source)
 
 
 def design_learning(
@@ -199,8 +206,7 @@ def design_learning(
     if learning not in KINDS:
         there = ", ".join(sorted(KINDS))
         raise ConfigurationError(f"learning = '{learning}': must be one of {there}{did_you_mean(learning, KINDS)}")
-    given = configuration_of(config)
-    configuration = parse_configuration(given.text, given.source)
+    configuration = _designed_for(config)
     axis = single_axis(configuration, namespace)
     request = LearningRequest(learning, period, bandwidth, maximum)
     found = design_correction(with_known_noise(axis, configuration), request, response_uncertainty(configuration))

@@ -336,6 +336,13 @@ def test_a_sweep_says_how_many_meet_a_bound(tmp_path):
 
 
 @pytest.mark.slow
+def test_faults_of_a_run_are_not_in_what_is_designed_from_it():
+    run = hr.simulate("kim2009", duration=0.01, faults=hr.Fault("stale", 0.002, 0.002))
+    again = hr.simulate(hr.design(run, "offset_free", bandwidth=100.0), duration=0.01)
+    assert "stale:0.002" in run.configuration and "stale:0.002" not in again.configuration
+
+
+@pytest.mark.slow
 def test_changes_of_a_configuration_are_in_what_is_designed_from_it():
     changed = hr.load("kim2009").override("plant_simulator", sensor__noise=7e-9)
     design = hr.design(changed, "offset_free", bandwidth=200.0)
