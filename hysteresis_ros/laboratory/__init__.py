@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Applications of the package that no axis needs: papers, comparisons, sweeps, emulated devices, fault campaigns.
+"""Applications on top of the package: papers, comparisons, sweeps, emulated devices, fault campaigns.
 
 The laboratory imports the rest of the package, but the rest never imports the laboratory: commands, drivers and
 ``hr.*`` refer to its modules by name. ``commands`` contains the subcommands of the laboratory.

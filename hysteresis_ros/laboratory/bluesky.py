@@ -53,7 +53,7 @@ from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_s
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
-#: Interval at which a move is checked, and its progress reported to watchers [s].
+#: Interval at which a move is checked and its progress is reported to watchers [s].
 LOOK, TELL = 0.005, 0.1
 #: Time in which the axis must accept a flight [s].
 TAKEN = 2.0
@@ -304,7 +304,7 @@ class HysteresisAxis(StandardReadable):
             raise HysteresisError(f"{self.name}: the axis has stopped or is silent; see `hysteresis status`")
 
     async def stop(self, success: bool = True) -> None:
-        """Stop a motion in progress, which then fails; at rest, as at the end of every plan, send nothing."""
+        """Stop a motion in progress, which then fails; at rest, send nothing: bluesky calls stop after every plan."""
         if self._moving or self._connected().flying:
             self._stopped = True
             self._connected().axis.stop()
@@ -341,7 +341,9 @@ class HysteresisAxis(StandardReadable):
             int(getattr(value, "every", 1)),
         )
         if not (duration > 0.0 and plan.run_up > 0.0 and plan.every > 0) or plan.start == plan.end:
-            raise HysteresisError(f"{self.name}: {value}: durations and every must be above 0, and the ends different")
+            raise HysteresisError(
+                f"{self.name}: {value}: durations and every must be > 0, and the start and end positions must differ"
+            )
         for what, position in zip(("run-up", "run-down"), plan.ends, strict=True):
             self._require_position(position / settings.metres, what)
         for what, needed, limit, unit in (
@@ -378,7 +380,7 @@ class HysteresisAxis(StandardReadable):
         Raises
         ------
         HysteresisError
-            The axis did not follow the flight to its end; the samples received until then are collected nevertheless.
+            The axis did not follow the flight to its end; the samples received so far are still collected.
         """
         link, plan = self._connected(), self._plan
         if plan is None or not link.flying:
@@ -403,7 +405,7 @@ class HysteresisAxis(StandardReadable):
         return {self.name: {self.name: {**key, "units": self.settings.unit, "precision": 4}}}
 
     def collect(self) -> Iterator[dict]:
-        """Yield the samples of the last flight: position [unit], and the stamp of the sample [s] as its time."""
+        """Yield the samples of the last flight: the position [unit], with the sample's stamp [s] as time."""
         flown, self._flown = self._flown, []
         for stamp, position in flown:
             data = {self.name: position / self.settings.metres}
@@ -444,7 +446,7 @@ class _Link:
         return self.axis.look(time.monotonic())
 
     def begin(self, message: JointTrajectory) -> None:
-        """Send a trajectory, and begin to collect samples."""
+        """Send a trajectory and begin to collect samples."""
         with self._lock:
             self._samples, self.answer, self.ending, self.flying = [], "", None, True
         self._paths.publish(message)

@@ -55,9 +55,9 @@ LOOK = 0.05
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of stroke [Hz].")
 @click.option("--namespace", help="Axis to use, if the configuration describes several.")
-@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; default: number of processors.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
-@click.option("--best", is_flag=True, help="Let -o F.yaml write CONFIG with the best combination.")
+@click.option("--best", is_flag=True, help="With -o F.yaml: write CONFIG with the best combination.")
 @click.option(
     "-o",
     "--output",
@@ -88,7 +88,7 @@ def compare(config, *, namespace, workers, json_path, best, outputs, sine, trian
             require_page(page)  # fail before minutes of work
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
-    # the bar is shown only after a while, because an immediate refusal prints just one line
+    # the bar is shown only after a while, so that an immediate refusal prints just one line
     comparing = f"comparing on {conditions.draws} plants around CONFIG and {conditions.others} of other classes"
     with progress.during(comparing):
         options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}
@@ -156,7 +156,7 @@ def _pages_and_files(outputs, best: bool):
     help="File for the results, F.parquet or F.npz; also a page F.html with pictures.",
 )
 @click.option("--json", "json_path", metavar="FILE", help="Summary as JSON; '-' prints it instead of the text.")
-@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; default: number of processors.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the sweep, tcp://host:8786.")
 @click.option("--duration", type=Quantity("s"), help="Length of each run [s]; the configuration's own by default.")
 @params_file_option
@@ -240,7 +240,7 @@ def _results_and_page(outputs):
 @click.option("--noise", type=Quantity("m"), default="5nm", show_default=True, help="Noise of the synthetic sensors.")
 @click.option("--model", "specs", multiple=True, metavar="NAME|FILE.py:CLASS", help="Model; repeatable.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this recording; repeatable.")
-@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; default: number of processors.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=pathlib.Path), help="CSV file of the rows.")
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML page.")
@@ -278,7 +278,7 @@ def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_pa
         models.load_model(spec)
     folder = data or path.parent
     if data and not data.is_dir():
-        raise HysteresisError(f"--data {data}: there is no such folder")
+        raise HysteresisError(f"--data {data}: the folder does not exist; give the folder of the recordings")
     missing = {entry.name: missing_files(entry, folder) for entry in entries}
     left_out = [
         f"{entry.name}: {', '.join(missing[entry.name])} not found in {folder}; get it from {entry.source}"
@@ -401,7 +401,11 @@ def _reproduce_through_nodes(module, jobs: int | None):
 @click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this fault case, or this group; repeatable.")
 @click.option(
-    "--rounds", type=click.IntRange(1), default=1, show_default=True, help="Number of rounds, each at other times."
+    "--rounds",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Number of runs of each case, at new random times.",
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the random times.")
 @click.option(
@@ -409,7 +413,7 @@ def _reproduce_through_nodes(module, jobs: int | None):
     type=click.FloatRange(1.0, 1e5),
     default=None,
     metavar="HZ",
-    help="Sample rate; default: that of the file. Losses of nodes are also tested at 10, 200, 3000 Hz.",
+    help="Sample rate; default: that of the file. The cases 'lose …' always use 10, 200 and 3000 Hz.",
 )
 @click.option("--list", "listed", is_flag=True, help="List the fault cases without running them.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Markdown page for all results.")
@@ -420,9 +424,9 @@ def _reproduce_through_nodes(module, jobs: int | None):
 def faults(config, *, ways, only, rounds, seed, rate, listed, output, figures, add):
     """Start the axis of CONFIG with a simulated plant, in a separate ROS domain, and inject faults.
 
-    Nodes are killed and suspended, messages lost and forged, cores and disks occupied. Each case checks whether the
-    voltage stayed within its limits and became safe in time, and whether the axis recovered. Exit code 0: all claims
-    held; 4: some did not; 2: wrong input.
+    The faults kill and suspend nodes, lose and forge messages, keep cores busy and fill a disk. Each case checks
+    whether the voltage stayed within its limits and became safe in time, and whether the axis recovered. Exit code 0:
+    all claims held; 4: some did not; 2: wrong input.
     """
     from hysteresis_ros.laboratory.campaign.mishaps import chosen, chosen_ways
     from hysteresis_ros.laboratory.campaign.results import load_results
@@ -453,7 +457,7 @@ def faults(config, *, ways, only, rounds, seed, rate, listed, output, figures, a
 
 @click.command(short_help="Show and tune a running axis in the browser.")
 @click.argument("config", required=False, type=ConfigurationName())
-@click.option("--namespace", help="Namespace of the axis; with CONFIG, show only the axis in it.")
+@click.option("--namespace", help="Namespace of the axis; with CONFIG, show only this axis.")
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),

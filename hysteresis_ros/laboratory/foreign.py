@@ -49,7 +49,7 @@ HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
-#: Speed of s at which the thresholds reach half of their widening [1/s], and the averaging time of the speed [s].
+#: Speed of s at which the thresholds have half of their maximum widening [1/s], and averaging time of the speed [s].
 SPEED_KNEE, SPEED_MEMORY = 20.0, 2e-3
 #: The longest delay [steps of the fine grid].
 LONGEST_DELAY = 256
@@ -59,7 +59,7 @@ STEPS = 0  # steps of the fine grid per sample
 KIND = 1  # index in HYSTERESES
 PER_VOLT = 2
 STROKE = 3
-BEFORE, BEHIND = 4, 5  # decay factor per step of a lag before the hysteresis, and of one after the modes; 0: no lag
+BEFORE, BEHIND = 4, 5  # decay factors per step of the lags before the hysteresis and after the modes; 0: no lag
 DELAY = 6  # steps
 LINEAR, SQUARE = 7, 8  # d(s) or f(s): LINEAR s + SQUARE s²
 RATE = 9  # widening of the thresholds in the limit of high speed
@@ -74,7 +74,7 @@ WEIGHTS = THRESHOLDS + PLAYS
 CURVATURES = WEIGHTS + PLAYS
 DECAYS = CURVATURES + PLAYS  # decays of the creep, then its weights
 GROWTHS = DECAYS + len(CREEP_TIMES)
-MODAL = GROWTHS + len(CREEP_TIMES)  # of each mode: A (4), B (2), share
+MODAL = GROWTHS + len(CREEP_TIMES)  # for each mode: A (4), B (2), share
 A_MODE = 7
 PARAMETERS = MODAL + A_MODE * MODES
 
@@ -95,13 +95,11 @@ class ForeignParameters(Parameters):
 
     hysteresis: str = parameter("play", choices=HYSTERESES, description="class of the hysteresis")
     stroke: float = parameter(40e-6, description="approximate stroke over the range of voltage", unit="m", low=1e-12)
-    voltage: float = parameter(
-        100.0, description="upper end of the range of voltage, which begins at 0", unit="V", low=1e-9
-    )
+    voltage: float = parameter(100.0, description="highest voltage; the lowest is 0", unit="V", low=1e-9)
     opening: float = parameter(
         0.13, description="approximate width of the widest loop, as a fraction of the stroke", low=0
     )
-    asymmetry: float = parameter(0.15, description="difference of rising and falling branches", low=0.0, high=0.5)
+    asymmetry: float = parameter(0.15, description="difference between rising and falling branches", low=0.0, high=0.5)
     rate: float = parameter(0.4, description="play: widening of the thresholds at high speed", low=0.0, high=2.0)
     creep: float = parameter(
         0.03, description="creep from 0.1 to 10 s after a step, as a fraction of the step", low=0.0
@@ -116,7 +114,7 @@ class ForeignParameters(Parameters):
     dampings: tuple[float, ...] = parameter(
         (0.03, 0.02), description="damping ratios of the two modes", low=1e-4, high=2.0
     )
-    share: float = parameter(0.1, description="fraction of the displacement in the second mode", low=0, high=1)
+    share: float = parameter(0.1, description="fraction of the displacement from the second mode", low=0, high=1)
     steps: int = parameter(10, description="steps of the fine grid per sample", low=1, high=100)
 
     def check(self):

@@ -57,7 +57,7 @@ def test_table_csv_json_and_page_hold_the_same_figures(tmp_path):
     [
         (("--model", "lines"), "did you mean line?"),
         (("--only", "shelves"), "did you mean shelf?"),
-        (("--data", "nowhere"), "there is no such folder"),
+        (("--data", "nowhere"), "the folder does not exist"),
         (("-o", "page.pdf"), "unknown kind of report"),
         (("--noise", "5"), "of which unit"),
     ],

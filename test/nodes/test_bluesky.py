@@ -118,8 +118,8 @@ def test_an_axis_is_moved_scanned_and_flown(laboratory):
     [
         (Flight(3.0, 99.0, 1.0), "end 99 um is out of the range"),
         (Flight(11.0, 11.9, 1.0, run_up=1.0), "run-down 12.35 um is out of the range"),
-        (Flight(3.0, 3.0, 1.0), "the ends different"),
-        (Flight(3.0, 4.0, 0.0), "durations and every must be above 0"),
+        (Flight(3.0, 3.0, 1.0), "the start and end positions must differ"),
+        (Flight(3.0, 4.0, 0.0), "durations and every must be > 0"),
         (Flight(1.0, 11.0, 1e-3, run_up=1e-5), "the approach allows"),
     ],
 )

@@ -25,10 +25,10 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.benchmark.models import load_model
 
-#: Number of resamplings for a confidence interval, their seed, and the quantiles that are the ends of the interval.
+#: Number of bootstrap samples for a confidence interval, their seed, and the quantiles at the ends of the interval.
 RESAMPLINGS, SEED, ENDS = 1000, 1, (0.025, 0.975)
-#: Test of causality: first fraction of the test input, and largest change of its prediction [fraction of the stroke]
-#: when the model does not get the remaining input.
+#: Test of causality: fraction of the test input that the model gets, and largest resulting change of the prediction for
+#: this part [fraction of the stroke].
 SHOWN, SAME = 0.6, 1e-6
 
 
@@ -67,7 +67,7 @@ class Answer:
 
 
 def answer(spec: str, train: IdentificationData, test_input: np.ndarray) -> Answer | str:
-    """Fit a model, and predict the output of the test from its input; return the reason as text if this fails."""
+    """Fit a model and predict the test output from the test input; return the reason as text if this fails."""
     np.random.seed(SEED)  # for models that use the global generator
     begun = time.process_time()
     try:
@@ -113,7 +113,7 @@ def judge(spec: str, task: Task, returned: Answer | str) -> Row:
     )
     changed = float(np.max(np.abs(returned.shown - returned.whole[: len(returned.shown)])))
     if changed > SAME * row.stroke:
-        problem = f"uses later inputs: without the last {100 * (1 - SHOWN):.0f} % of the input its first part changes"
+        problem = f"uses later inputs: without the last {100 * (1 - SHOWN):.0f} % of the input, the first part changes"
         return replace(row, problem=f"{problem} by {100 * changed / row.stroke:.3g} % of the stroke")
     return row
 

@@ -38,15 +38,15 @@ RECORDING = {
     "licence": "licence of the files",
     "input": "column of the input, as name:unit",
     "output": "column of the output, as name:unit",
-    "sample_time": "[s], of files without a time column",
+    "sample_time": "sample time [s] of files without a time column",
     "negate": "whether the sign of the output is inverted",
     "offset": "kept, or free: a constant is removed from the error",
-    "skip": "first samples of the test that are not judged",
+    "skip": "number of samples at the beginning of the test that are not judged",
     "train": "part for the fit",
     "test": "part for the test",
 }
 PART = {"file": "name below the folder of the recordings", "sha256": "checksum of the file", "range": "FIRST:LAST"}
-#: Largest relative difference between the sample times of both parts; least number of turning points of an input.
+#: Largest relative difference between the sample times of both parts; minimum number of turning points of an input.
 SAME_RATE, TURNS = 1e-3, 2
 
 
@@ -188,8 +188,7 @@ def _apart(where: str, entry: Entry) -> Entry:
     end = float("inf")
     if train.sha256 == test.sha256 and train.first < (test.last or end) and test.first < (train.last or end):
         raise ConfigurationError(
-            f"{where}: train and test share samples of {train.file}; a model must not see what it is tested on: give "
-            "both a range"
+            f"{where}: train and test share samples of {train.file}: give ranges without common samples"
         )
     return entry
 
@@ -209,7 +208,7 @@ def read_task(entry: Entry, folder: pathlib.Path) -> Task:
             raise RecordingError(f"{path}: {error.strerror}; get it from {entry.source}") from None
         if found != part.sha256:
             raise RecordingError(
-                f"{path}: its SHA-256 is {found}, the manifest has {part.sha256}: this is another file, or it was "
+                f"{path}: its SHA-256 is {found}, the manifest has {part.sha256}: this is another file, or it has "
                 f"changed; get it from {entry.source}, or correct the manifest"
             )
     columns = Columns(

@@ -72,7 +72,8 @@ class ClassicalPrandtlIshlinskii:
         self.thresholds = half * np.arange(PLAYS) / PLAYS
         found = plays(data.input, self.thresholds)
         ones = np.ones((len(found), 1))
-        # nnls finds only weights ≥ 0: the constant has one column per sign, and the sign of the gain is a factor
+        # nnls finds only weights ≥ 0, so the constant has one column per sign, and the output is multiplied by the
+        # gain's sign
         self.sign = 1.0 if np.polyfit(data.input, data.output, 1)[0] >= 0 else -1.0
         scale = float(np.ptp(data.output)) or 1.0
         weights, _ = nnls(np.hstack([found / half, ones, -ones]), self.sign * data.output / scale)
@@ -92,7 +93,7 @@ HELD_OUT, DIVERGED = 0.25, 10.0
 
 
 class Narx:
-    """A polynomial of delayed outputs and inputs; the fit is one step ahead by least squares, the prediction runs free.
+    """A polynomial of delayed outputs and inputs; least squares fit it one step ahead, and it predicts in a free run.
 
     The regressors are the delayed outputs and inputs, the change of the input and its absolute value, and all products
     of two of them. Orders and ridge are chosen by the error of a free run on the last quarter of the data.
@@ -112,7 +113,7 @@ class Narx:
             if error < best:
                 best, self.orders, ridge_chosen = error, orders, ridge
         if not np.isfinite(best):
-            raise ValueError("the free run diverges for every order")
+            raise ValueError("the free run diverges for every order and ridge parameter")
         self.weights = self._weights(u, y, self.orders, ridge_chosen)
         self.parameter_count = len(self.weights)
         return self
@@ -141,7 +142,7 @@ class Narx:
 
     @classmethod
     def _run(cls, u, y, orders, weights) -> np.ndarray:
-        """Return the free run, shape (N,), from the measured outputs ``y`` of its first samples."""
+        """Return the free run, shape (N,), which starts from the measured outputs ``y``."""
         a, b = orders
         begin = max(a, b)
         found = np.empty(len(u))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Synthetic recordings of stages that belong to other classes than the models of the package, with a known truth.
+"""Synthetic recordings of stages of other classes than the package's models; the true displacement is known.
 
 The plants are those of :mod:`hysteresis_ros.laboratory.foreign`, drawn at random. The recording for the fit contains
 the converter's quantisation and the sensor's noise. The test has another input, and the prediction is compared with the

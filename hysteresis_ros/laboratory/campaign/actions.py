@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The actions of the fault cases: they disturb processes, the machine or the measurement, or act as users do."""
+"""The actions of the fault cases: they disturb processes, the machine or the measurement, or imitate users."""
 
 from __future__ import annotations
 
@@ -103,11 +103,11 @@ def _again(rig: Rig, victims) -> None:
 
 #: Program that keeps one core busy.
 BURN = "while True: sum(range(100000))"
-#: Used fraction of a small disk at which it counts as full, and the time that is observed afterwards [s].
+#: Used fraction at which a small disk counts as full, and observed time afterwards [s].
 FILLED, AFTERWARDS = 0.75, 3.0
-#: Time in which a small disk becomes full [s].
+#: Maximum time until a small disk is full [s].
 FULL = 60.0
-#: Longest time that may be missing at the end of an interrupted recording, and its length before the interruption [s].
+#: Longest part that may be missing at the end of an interrupted recording, and length before the interruption [s].
 LOST, RECORDED = 1.5, 2.0
 #: Jumps of the time of day [s], and the time between them [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
@@ -163,7 +163,7 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    # separate nodes exchange messages, which may be late on a busy machine, so that samples are missing
+    # separate nodes exchange messages, which a busy machine may deliver too late for the recording
     missing = run.metadata["missing_samples"] if rig.way == FUSED else 0
     if lost > LOST or missing:
         rig.broken.append(f"the recording lacks its last {lost:.2f} s, and {missing} samples before them")
@@ -190,7 +190,8 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 #: Time of the axis at which the faults of a fused loop begin [s]; by then the axis has started and made its first move.
 SCHEDULE = 12.0
-#: Duration of a measurement fault [s]; if the voltage must become safe, time by which the fault exceeds the time-out.
+#: Duration of a measurement fault [s]; if the voltage must become safe, it is the time by which the fault exceeds the
+#: time-out.
 LASTING, FURTHER = 3.0, 0.5
 
 
@@ -223,7 +224,7 @@ def measure(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
-    """Move the axis during the fault, unless the voltage must become safe."""
+    """Move the axis during the fault, unless the fault must make the voltage safe."""
     until = time.monotonic() + lasts
     while (left := until - time.monotonic()) > 0.0:
         if not mishap.safe:
@@ -241,7 +242,7 @@ COMMANDED = 3.0
 REFUSED = 2
 #: Values that are invalid for every numerical parameter.
 NONSENSE = (math.nan, -1e300, math.inf)
-#: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
+#: Requested lifecycle transitions: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
 #: Invalid setpoints, and the number of setpoints from one invalid setpoint to the next.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
@@ -262,7 +263,7 @@ def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def second_sender(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Publish on a topic of the axis, as another graph or a tool would."""
+    """Publish on a topic of the axis, as a competing publisher."""
     kind = JointState if mishap.victim == "joint_states" else Float64
     publisher = rig.witness.node.create_publisher(kind, mishap.victim, 10)
     until, count = time.monotonic() + LONG, 0

@@ -21,7 +21,7 @@ from hysteresis_ros.laboratory.campaign.mishaps import COMMAND, DEVICE, FUSED, M
 from hysteresis_ros.loop.parameters import MESSAGE_RATE, AxisParameters
 from hysteresis_ros.loop.reach import single_axis
 
-#: Time in which the voltage may cross its range if the configuration sets no slew rate [s].
+#: Time in which the voltage may cross its whole range if the configuration sets no slew rate [s].
 CROSSING = 0.25
 #: Setpoints, as fractions of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
@@ -192,7 +192,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Figures of a fault case, and its violated claims."""
+    """Figures of a fault case and its violated claims."""
 
     trace: Trace
     figures: Figures

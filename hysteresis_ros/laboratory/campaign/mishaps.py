@@ -23,8 +23,8 @@ MESSAGES = (COMPOSED, PROCESSES)
 #: Names of the time-outs after which the voltage goes to its safe value.
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
-#: What surrounds an axis in a test: a relay of its measurements, a nearly full disk, a device instead of the simulated
-#: plant, an adjustable system clock; ``FRESH``: only a newly started axis.
+#: Test equipment around an axis: a relay of its measurements, a nearly full disk, an emulated device instead of the
+#: simulated plant, an adjustable time of day; ``FRESH``: a newly started axis without test equipment.
 RELAY, SMALL_DISK, DEVICE, CLOCK, FRESH = GRAPHS = ("relay", "small disk", "device", "clock", "fresh")
 
 #: Requirements of every fault case.
@@ -85,7 +85,7 @@ _KILLED = {
     "plant_simulator": ("", ""),
     "reference_generator": ("", "after its restart it does not move the axis without a setpoint"),
 }
-#: Nodes that are lost, each with the time-out after which the voltage becomes safe; sample rates of these cases [Hz].
+#: Killed nodes, each with the time-out after which the voltage becomes safe; sample rates of these cases [Hz].
 _LOST = {"motion_controller": COMMAND, "hysteresis_compensator": VOLTAGE, "reference_generator": MEASUREMENT}
 LOSS_RATES = (10.0, 200.0, 3000.0)
 #: Durations for which a process is suspended [s].

@@ -101,7 +101,8 @@ TUNING_PERIODS = 8
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Smallest mismatch that a design assumes.
 LEAST_MISMATCH = 1e-3
-#: Largest M_s if gain and times of the model deviate by the mismatch; as for an unmodelled sample of delay.
+#: Largest M_s if gain and times of the model deviate by the mismatch; a design allows the same with one unmodelled
+#: sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
@@ -227,11 +228,11 @@ class Given:
         return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
 
     def preview(self) -> dict:
-        """Return the feedforward with the shortest preview that inverts the model well."""
+        """Return the feedforward by inverse dynamics, with the shortest sufficient preview."""
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
-        """Return the change of the command's disturbance per sample that the mismatch causes [model units]."""
+        """Return the change per sample [model units] of the command disturbance that the mismatch causes."""
         moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
         moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
         return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)

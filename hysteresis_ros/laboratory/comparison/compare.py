@@ -91,7 +91,7 @@ class Comparison:
 
     @property
     def best(self) -> Row:
-        """The best row on plants close to the configured plant that also has a rank on the plants of other classes.
+        """The best row of the first table that also has a rank in the second, if there is a second table.
 
         A row with learning does not count, because learning is designed for the period of one reference.
         """
@@ -100,8 +100,8 @@ class Comparison:
             if row.ranked and not learns and (self.others is None or _ranked_in(self.others, row)):
                 return row
         raise ConfigurationError(
-            f"{self.configuration.source}: no combination has a rank on all plants; the table shows the unmet "
-            "requirements; draw plants close to the configured plant (--draws 1 or more)"
+            f"{self.configuration.source}: no combination has a rank in every table; the tables show the unmet "
+            "requirements. The first table needs --draws 1 or more"
         )
 
 
@@ -187,8 +187,9 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "reference); undelayed: against the reference itself, on the worst plant",
         f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the period "
         "of each reference; all other controllers from 2 s on",
-        "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
-        "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
+        "× PI: error of a PI with static feedforward divided by the error of the row, each on its worst plant; the "
+        "PI was tuned on the plant itself by the ranking criterion, tolerates 6 dB more gain and one more sample of "
+        "delay, and also has a constant delay",
         "marked rows do not have the required margins on their own model, or exceed M_s = 3 when its gain and times "
         "deviate by the mismatch; marked rows, and rows that were unstable on a plant, have no rank",
     )

@@ -44,7 +44,7 @@ class ComparedLaw:
 
 
 def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
-    """Return parameters with hyperplane, law and filter that keep the margins; ``place`` as in ``sliding_gains``.
+    """Return a hyperplane, law and filter that keep the margins; ``place`` has the meaning it has in ``sliding_gains``.
 
     The filter is never faster than noise and mismatch require. In a robust comparison the margins hold at the corners
     of the mismatch, with and without one more sample of delay.

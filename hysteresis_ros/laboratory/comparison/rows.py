@@ -68,7 +68,8 @@ class Row:
     delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
     refused: str = ""  #: Reason why there are no results.
     marked: str = ""  #: Unmet margins on the candidate's own model; the candidate is run and shown, but not ranked.
-    #: By name of the task: ratio of the benchmark's error to the error of this row, the smallest over the plants.
+    #: By name of the task: RMS error of the benchmark divided by that of this row, each on its worst plant; the
+    #: smallest over the designs.
     better: dict[str, float] = field(default_factory=dict)
     #: Time [s] and error [fraction of the stroke] on the worst plant of the candidate, by name of the task.
     errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -150,7 +151,7 @@ def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows with the ratio of the benchmark's error to the row's error, both on their own worst plants."""
+    """Return the rows with the benchmark's error divided by the row's error, each on its worst plant."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -183,9 +184,9 @@ CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
 #: Initial size of the simplex: in the logarithm of Ki, and in Kp.
 SCALES = (3.0, 1.0)
-#: Slow model for the check of the benchmark's gains, so that the run on the plant itself decides.
+#: Slow model with which the law accepts the benchmark's gains, so that the run on the plant decides.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
-#: Required gain margin as a factor: 6 dB.
+#: Required gain margin, a factor (6 dB).
 GAIN_MARGIN = 2.0
 
 
@@ -369,7 +370,7 @@ def identified(recording: Recording, bench: Bench) -> Known:
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
     configuration = configuration.override("hysteresis_compensator", **limits)
-    # a jump to the first reference, which no task evaluates, would reach the limit of the slew rate
+    # a jump to the first reference would reach the limit of the slew rate; no task evaluates this motion
     return known(configuration.override("reference_generator", approach__from_rest=True), bench.bits, bench.noise)
 
 

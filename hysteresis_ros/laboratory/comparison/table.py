@@ -54,7 +54,7 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
 
 
 def _label_decades(axis) -> None:
-    """Label 1, 2 and 5 of each decade, or only 1 if there are many decades, so that the labels do not overlap."""
+    """Label 1, 2 and 5 of each decade; with many decades only 1, so that the labels do not overlap."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
@@ -316,7 +316,7 @@ def best_text(comparison: Comparison) -> str:
     """Return the configuration with the best combination, every parameter written out."""
     best = comparison.best
     if best.candidate is None:
-        raise ConfigurationError("the best row is not a combination: it has no configuration")
+        raise ConfigurationError("the best row combines several designs, so it has no configuration")
     chosen = comparison.configuration.override("motion_controller", **best.candidate.motion_controller)
     chosen = chosen.override("hysteresis_compensator", **best.candidate.hysteresis_compensator)
     figures_ = ", ".join(f"{task}: {100.0 * result.worst:.3g} % RMS" for task, result in best.results.items())

@@ -88,7 +88,7 @@ class Conditions:
         return ALLOWED_DELAY / max(self.sine_frequency, self.triangle_frequency)
 
     def require_slow(self, sample_rate: float) -> None:
-        """Refuse references that are too fast for the samples.
+        """Refuse references that are too fast for the sample rate.
 
         Units: ``sample_rate`` [Hz].
         """
@@ -257,7 +257,7 @@ class _ForeignInLoop(ActuatorPlant):
         self.arrays = self.arrays._replace(p=chain.ps, x=chain.xs)
 
 
-#: Number of delays that are tried, from 0 to the longest; a parabola interpolates between the best ones.
+#: Number of tried delays from 0 to the longest; a parabola interpolates around the best one.
 DELAYS = 41
 #: Largest RMS difference between two consecutive periods of a stable loop, as a fraction of the reference's standard
 #: deviation. A stable loop becomes periodic, and its noise is far smaller.
@@ -265,7 +265,7 @@ LOST = 0.1
 #: A limit cycle may lock to the period of the reference; it is detected when the voltage is at its limits for at least
 #: this fraction of the time.
 AT_LIMITS = 0.25
-#: Number of points of the first search for the delay.
+#: Approximate number of points per run in the first search for the delay.
 THIN = 4000
 
 
@@ -291,7 +291,7 @@ class Followed(NamedTuple):
     @property
     def thin(self) -> Followed:
         """The same run, evaluated at fewer points."""
-        stride = max(len(self.time) // THIN, 1) | 1  # an odd step, so that every point within a sample occurs
+        stride = max(len(self.time) // THIN, 1) | 1  # an odd stride, so that all instants within a sample occur
         return self._replace(time=self.time[::stride], displacement=self.displacement[::stride])
 
 

@@ -10,8 +10,8 @@
 """The inside of an emulated device: a plant with its own clock, an amplifier, a servo, and faults.
 
 Faults are written like the faults of an axis, ``NAME:START:DURATION[:VALUE]``. Times are in seconds of the device's own
-clock, from the start of the device or from the instant at which the fault is added. A fault of single lines affects the
-first lines that are sent during the fault; its value is the number of these lines.
+clock, counted from the start of the device or from the addition of the fault. The value of a fault of single lines is
+the number of affected lines: the first ones sent during the fault.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest time that a device catches up [s]; otherwise it would compute the whole time of a suspended machine.
+#: Longest backlog that a device computes [s]; it skips the rest, for example after the machine was suspended.
 LONGEST_CATCH_UP = 5.0
 
 #: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
@@ -189,7 +189,7 @@ class EmulatedPlant:
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
         self._actuator = Actuator(parameters, cycle)
-        self._actuator.advance(self._actuator.measure())  # compiles the plant now, and not at the first query
+        self._actuator.advance(self._actuator.measure())  # compiles the plant now instead of at the first query
         self._actuator.reset()
         self.cycle, self._clock = cycle, clock
         self.limits, self.gain = parameters.limits, self._actuator.hysteresis.gain
@@ -276,4 +276,4 @@ class Running:
     where: str  #: Description of the device, with its address.
     driver: Parameters  #: Parameters with which the driver opens the device.
     faults: DeviceFaults  #: The device's faults; more may be added while it runs.
-    device: object = None  #: The device itself, to inspect its true state.
+    device: object = None  #: The device itself, for inspection of its true state.

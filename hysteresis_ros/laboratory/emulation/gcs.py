@@ -497,7 +497,7 @@ def _define_wave(controller, words):
         raise Refusal(SYNTAX)
     points = segment(kind, [real(word) for word in words[3:]])
     before = controller.waves.get(table, []) if append == "&" else []
-    # PI's function writewavepoints passes the position of the added points; position 1 appends them
+    # PI's function writewavepoints passes the start position of the added points; position 1 appends
     start = whole(words[3], 1, LONGEST_WAVE) - 1 if kind == "PNT" else 0
     if start > len(before):
         raise Refusal(OUT_OF_RANGE)
@@ -785,7 +785,7 @@ class Session:
         self._controller, self._rest = controller, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to any received bytes."""
+        """Return the answers to received bytes."""
         answers, self._rest = [], self._rest + data
         while match := re.search(rb"[\x00-\x1f]", self._rest):
             before, mark, self._rest = self._rest[: match.start()], match.group(), self._rest[match.end() :]

@@ -316,7 +316,7 @@ class Controller:
         self.recorder = Recorder(names)
         self.axes = {name: Axis(name, EmulatedPlant(plant, cycle, clock), self.recorder) for name in names}
         self.waves: dict[int, list[float]] = {}
-        #: For each wave generator: its wave table and number of cycles; then the samples per point of the table.
+        #: Wave table and number of cycles of each wave generator, and samples per point of the tables.
         self.chosen: dict[str, int] = {}
         self.repeats, self.wave_rate = dict.fromkeys(names, 0), 1
         self.lines = {str(number + 1): TriggerLine(names[0]) for number in range(LINES)}

@@ -109,7 +109,7 @@ class Converters:
         self._plant.advance()
         raw = self.input / "in_voltage0_raw"
         if "error" in self._faults or "busy" in self._faults:
-            # reading a folder as a file fails, which imitates a driver that reports an error
+            # reading a folder as a file fails, as with a driver that reports an error
             raw.unlink(missing_ok=True) if raw.is_file() else raw.mkdir(exist_ok=True)
         elif "silent" not in self._faults:
             if raw.is_dir():

@@ -185,7 +185,7 @@ class Session:
         self._amplifier, self._rest = amplifier, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to any received bytes."""
+        """Return the answers to received bytes."""
         *lines, self._rest = _TELNET.sub(b"", self._rest + data).split(b"\r")
         answers = [self._framed(line.strip(b"\n\x00 ")) for line in lines]
         if len(self._rest) > LONGEST:

@@ -90,7 +90,7 @@ class AxisLink:
 
     def look(self, now: float) -> Seen:
         """Return the state of the axis at a time [s] of the monotonic clock."""
-        # a setpoint that is published before the axis was discovered would be lost
+        # a setpoint published before the axis is discovered would be lost
         discovered = self._setpoints.get_subscription_count() > 0
         with self._lock:
             alarm = Alarm()
@@ -100,7 +100,7 @@ class AxisLink:
                 alarm = STOPPED
             elif not math.isfinite(self._measured):
                 alarm = UNMEASURED
-            # a stopped motor keeps its setpoint, but does not move to it
+            # a stopped motor keeps its setpoint without moving to it
             setpoint = self._measured if self._stopped else self._setpoint
             ready = self._ready and alarm == Alarm()
             return Seen(self._measured, setpoint, alarm, ready, self._ready_in)

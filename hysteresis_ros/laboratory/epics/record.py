@@ -7,7 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motor record of an axis: settings, fields, and the effects of writing them; no ROS, no Channel Access."""
+"""The motor record of an axis: its settings, its fields and the effects of writing them; without ROS and Channel
+Access."""
 
 from __future__ import annotations
 
@@ -351,7 +352,7 @@ class MotorRecord:
             distance = abs(self._target - self._seen.position)
             self._begin(now, distance / own.velocity if own.velocity else 0.0)
             self._axis.move(self._target)
-        fields["DMOV"] = 0  # tick() ends a refused move with an alarm, and a move within the deadband without one
+        fields["DMOV"] = 0  # tick() ends a refused move with an alarm, and a move within the deadband without alarm
         self._sum_up()
 
     def _begin(self, now: float, takes: float) -> None:
@@ -409,7 +410,7 @@ class MotorRecord:
             fields["SPMG"] = "Pause"
 
     def _follow(self) -> None:
-        """Show the active setpoint from any source, unless a new setpoint is pending."""
+        """Show the active setpoint from any client, unless a new setpoint is pending."""
         if math.isfinite(self._seen.setpoint) and self._pending is None:
             self.fields["DVAL"] = self._seen.setpoint / self.settings.metres
 

@@ -9,7 +9,7 @@
 
 """Channel Access: motor records by caproto (extra ``[epics]``), and the process of ``hysteresis ioc`` that serves them.
 
-The argument of the process is the JSON of :mod:`hysteresis_ros.laboratory.epics.server_process`.
+Its argument is the JSON object of :mod:`hysteresis_ros.laboratory.epics.server_process`.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ async def _write_value(group, instance, value):
 
 
 class Position(PvpropertyDouble):
-    """A position; the record refuses an invalid value with an alarm, instead of an exception of caproto."""
+    """A position; the record refuses an invalid value with an alarm, where caproto would raise an exception."""
 
     async def verify_value(self, value):
         """Pass a value from a client to the record."""
@@ -142,8 +142,8 @@ class Motor(PVGroup):
     async def tell(self) -> None:
         """Publish the changes to clients.
 
-        The alarm is published first and the end of a move last, so that a client that waits for the end then finds all
-        other fields updated.
+        The alarm is published first and the end of a move last: a client that waits for the end then finds all other
+        fields updated.
         """
         async with self._telling:
             record = self.record
@@ -197,7 +197,7 @@ class RefusedWrites(logging.Filter):
 
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
     """Serve records until ``over`` returns True."""
-    logging.getLogger("caproto").setLevel(logging.ERROR)  # no messages about short overloads
+    logging.getLogger("caproto").setLevel(logging.ERROR)  # suppress messages about short overloads
     logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}
 

@@ -41,7 +41,7 @@ def require_caproto() -> None:
 
 
 def interfaces(given: str | None) -> list[str]:
-    """Return the addresses to listen on: those given, those in ``EPICS_CAS_INTF_ADDR_LIST``, or loopback."""
+    """Return the addresses to listen on: the given ones, else those in ``EPICS_CAS_INTF_ADDR_LIST``, else loopback."""
     text = given or os.environ.get("EPICS_CAS_INTF_ADDR_LIST", "")
     return text.replace(",", " ").split() or [LOOPBACK]
 

@@ -162,7 +162,7 @@ class ClaimsPage:
     groups: dict[str, list[tuple[Sequence[str], bool | None]]]
     remarks: Sequence[str]  #: remarks, assumptions: Sentences below the table; assumptions are numbered from 1.
     assumptions: Sequence[str]
-    configuration: str = ""  #: Text of the configuration, shown at the end.
+    configuration: str = ""  #: Text of the configuration; the page shows it at the end.
 
 
 def write_claims_page(path, page: ClaimsPage, plots) -> None:
@@ -196,7 +196,7 @@ class Claim:
 
     id: str  #: Name of the row, unique in an experiment.
     group: str  #: Heading of the row.
-    quantity: str  #: Measured quantity, with its conditions.
+    quantity: str  #: Reproduced quantity and its conditions.
     measured: float  #: Reproduced value.
     unit: str  #: One of :data:`SHOWN`.
     #: The paper's value, as text if it is not a number; None if the paper gives no value.
@@ -207,7 +207,7 @@ class Claim:
     derived: bool = False
     assumptions: tuple[str, ...] = ()  #: Sentences about assumptions where the paper is incomplete.
     reason: str = ""  #: Reason for the result, if needed.
-    #: The cases whose worst value is ``measured``, if there are several.
+    #: Value of each case, if there are several; ``measured`` is the worst.
     details: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self):

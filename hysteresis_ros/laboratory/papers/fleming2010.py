@@ -45,9 +45,9 @@ from hysteresis_ros.recordings.dataset import Recording
 # Published values in the abstract.
 INTEGRAL_BANDWIDTH, INTEGRAL_MARGIN = 15.0, 2.0  # Hz, dB: integral control
 BANDWIDTH, MARGIN = 490.0, 7.0  # Hz, dB: damping and tracking
-RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass and unchanged gains
+RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass, same gains
 TIMES = 10.0  # "greater than 10 times"
-LINES = 31.0  # images at this many lines a second
+LINES = 31.0  # lines per second of the images
 
 #: Damping ratio of a single resonance for which integral control has the published bandwidth and gain margin.
 DAMPING = INTEGRAL_BANDWIDTH / (2.0 * RESONANCE * 10.0 ** (-INTEGRAL_MARGIN / 20.0))
@@ -61,7 +61,9 @@ MODEL = (
     "the abstract of the paper was available, which gives no model"
 )
 FAST = "100 kHz, no delay: close to the analogue controller of the abstract"
-GAINS = "D_f = −2 (6 dB for the inner loop), k for the largest damping, tracking gain for 7 dB: the abstract gives none"
+GAINS = (
+    "D_f = −2 (6 dB for the inner loop), k for the largest damping, tracking gain for 7 dB; the abstract gives no gains"
+)
 SLOW = "20 kHz with one sample of delay; gains by `hysteresis design`, resonance ±10 %, M_s ≤ 1.6 of the PID's loop"
 
 
@@ -90,8 +92,8 @@ def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
 def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerParameters:
     """Return damping and tracking as in the paper: an integrator in front of C₂(s) = −k/(s − k D_f).
 
-    In this package the law's output is added after C₂, so the law must contain the pole of C₂ too.
-    The law gain k/(γ s (s + N)) with N = −k D_f is a PID with derivative filter N.
+    In this package the output of the law is added after C₂, so the law must also contain the pole of C₂.
+    The law, ``gain`` k/(γ s (s + N)) with N = −k D_f and γ = 1 + 1/D_f, is a PID with derivative filter N.
 
     Units: ``gain`` [1/s], ``k`` [1/s].
     """
@@ -142,7 +144,7 @@ def largest(good: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def designed(configuration: Configuration) -> dict[str, ControllerParameters]:
-    """Return integral control with 2 dB, damping and tracking with 7 dB, and a variant stable down to 140 Hz."""
+    """Return integral control (margin 2 dB), damping and tracking (7 dB), and a variant stable down to 140 Hz."""
     return _designed(single_axis(configuration).motion_controller.model.dynamics)
 
 
@@ -229,7 +231,7 @@ def _loop_claims(controllers) -> list[Claim]:
             low=0.98 * printed,
             high=1.02 * printed,
             assumptions=assumed,
-            reason="by construction: the damping of the resonance was calculated from this value",
+            reason="holds by construction: the damping of the resonance was calculated from this value",
         ),
         row(
             "bandwidth",

@@ -33,7 +33,7 @@ TUNING_ITERATIONS = 50
 IAE = {"none": 67.73e-6, "pid": 3.099e-6, "inverse": 1.478e-6}  # m s
 REDUCTION = {"pid": 95.42, "inverse": 97.82}  # %
 
-# Computed for the assumed experiment, see the assumptions below.
+# Computed for the assumptions below.
 LIMITED_IAE = {"pid": 9.65e-6, "inverse": 8.09e-6}  # m s, 0 … 150 V
 #: Lowest and highest reduction of the error [%] by an inverse whose model has the given relative error in one
 #: parameter.
@@ -66,8 +66,8 @@ METHODS = {
     "dynamic": "combination with inverse dynamics",
 }
 
-TRIANGLE = "one triangle 0 → 14.375 µm (125 V/K) → 0 of 46.3 s; the period was fitted to the first IAE"
-SAMPLED = "controller in discrete time at 500 Hz, voltage held between samples; the paper's is continuous"
+TRIANGLE = "one triangle 0 → 14.375 µm (125 V/K) → 0 in 46.3 s; this period was fitted to the first IAE"
+SAMPLED = "discrete controller at 500 Hz, voltage held between samples; the paper's controller is continuous"
 FILTERED = "derivative filter 100 rad/s, derivative of the error"
 UNLIMITED = "no limit of the voltage, no noise, compensator's model equal to the plant"
 GAIN = "uncompensated drive V = K ψ"
@@ -81,14 +81,14 @@ LOADED = (
     "samples, noise 10 nm rms"
 )
 RATES = (
-    "rows under realistic conditions: 100 Hz up to 0.1 Hz triangles, 500 Hz above; the held voltage adds "
-    "half a sample of lag"
+    "rows under realistic conditions: 100 Hz for triangles up to 0.1 Hz, else 500 Hz; the held voltage adds half a "
+    "sample of lag"
 )
-STACK_LIMITS = "limits −30 … 150 V; such stacks allow about −30 V"
+STACK_LIMITS = "limits −30 … 150 V; such stacks tolerate about −30 V"
 DATA_SHEET_LIMITS = "limits 0 … 150 V"
-CREEPING = "logarithmic creep of 1.5 % a decade in the plant, none in the model"
-NOISY = "sensor noise 5 nm rms, 16-bit converters over the limits"
-CAMERA = "camera: 25 frames a second, 50 nm rms of noise, no delay; the whole axis runs at that rate"
+CREEPING = "logarithmic creep of 1.5 % per decade in the plant, none in the compensator's model"
+NOISY = "sensor noise 5 nm rms, 16-bit converters over the range between the limits"
+CAMERA = "camera: 25 frames per second, 50 nm rms of noise, no delay; the whole axis runs at 25 Hz"
 
 
 def at_rate(configuration: Configuration, rate: float) -> Configuration:
@@ -154,7 +154,7 @@ def run_sine(configuration: Configuration, offset: float, amplitude: float, freq
 
 
 def iae(recording: Recording) -> float:
-    """Return the integral of the absolute error [m s], of the true displacement against the delayed reference."""
+    """Return the integral of the absolute error [m s]: delayed reference minus true displacement."""
     return float(mean_error(recording) * recording.time.size * recording.sample_time)
 
 
@@ -170,5 +170,5 @@ def mean_error(recording: Recording) -> float:
 
 
 def reduction(value: float, without: float) -> float:
-    """Return by what percentage ``value`` is smaller than ``without``."""
+    """Return by how much ``value`` is smaller than ``without`` [%]."""
     return 100.0 * (1.0 - value / without)

@@ -84,7 +84,7 @@ def tune(configuration: Configuration, iterations: int = auwal.TUNING_ITERATIONS
 def tuning_claims(found: Tuning) -> list[Claim]:
     """Return the rows of the PID's tuning."""
     group = "Tuning of the PID by Nelder-Mead (section 4.1, table III)"
-    assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.UNLIMITED, auwal.FILTERED, "sampled at 100 Hz for the tuning")
+    assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.UNLIMITED, auwal.FILTERED, "sampled at 100 Hz")
     gains = ", ".join(f"{value:.4g}" for value in found.trajectory[-1])
     return [
         Claim(
@@ -114,8 +114,8 @@ def tuning_claims(found: Tuning) -> list[Claim]:
             paper=auwal.IAE["pid"],
             high=found.published,
             assumptions=assumed,
-            reason=f"gains found here {gains}: without noise, limits or delay the simplex approaches the stability "
-            "limit, so the paper's gains are not the optimum of the paper's criterion",
+            reason=f"the gains found here are {gains}; without noise, limits and delay the simplex approaches the "
+            "stability limit, so the paper's gains are not the optimum of the paper's criterion",
         ),
         Claim(
             "tuning.published.peak",
@@ -132,13 +132,13 @@ def tuning_claims(found: Tuning) -> list[Claim]:
 
 
 def paper_runs(configuration: Configuration) -> dict[str, Recording]:
-    """Return runs of the paper's triangle: its three control schemes, and inverse, PID and feedforward together."""
+    """Return runs of the paper's triangle: the paper's three control schemes, and their combination."""
     ways = ("none", "pid", "inverse", "combined")
     return {method: auwal.run_triangle(auwal.driven(configuration, method)) for method in ways}
 
 
 def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
-    """Return the rows for the paper's table of the integral absolute error, and for better controllers."""
+    """Return the rows of the paper's table of IAE, and of better controllers."""
     group = "Hysteresis minimisation (section 5, last table)"
     found = {method: auwal.iae(run) for method, run in runs.items()}
     claims = []
@@ -170,7 +170,7 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
                 low=-25.0,
                 high=-23.5,
                 assumptions=(*ASSUMED, *FURTHER.get(method, ())),
-                reason="the stack's data sheet allows 0 … 150 V, but the paper's figures need a voltage outside "
+                reason="the data sheet of the stack allows 0 … 150 V, but the paper's results need a voltage outside "
                 "this range",
             )
         )
@@ -188,7 +188,7 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
             high=better,
             assumptions=(*ASSUMED, *FURTHER["combined"]),
             reason="the tolerance is the better of the paper's two results; the inverse makes the plant linear, the "
-            "reference itself is the feedforward, and the paper's PID must only remove the lag",
+            "reference itself is the feedforward, and the paper's PID only has to remove the lag",
         )
     )
     return claims
@@ -252,7 +252,7 @@ def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, R
 
 
 def unavoidable() -> float:
-    """Return the integral of the error [m s] while the falling reference is below the displacement at 0 V."""
+    """Return the integral of the error [m s] while the falling reference is below the displacement that 0 V leaves."""
     element = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME)
     rise = np.linspace(0.0, auwal.ALLOWED[1], 15001)
     peak = float(np.interp(auwal.HEIGHT, element.simulate(rise), rise))
@@ -300,7 +300,7 @@ def mismatch_claims(configuration: Configuration) -> list[Claim]:
 
 
 def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, Recording]]:
-    """Return the rows of triangles of 0.1 Hz under each condition, and the runs under all conditions together."""
+    """Return the rows of triangles of 0.1 Hz under each and under all conditions, and the runs under all conditions."""
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.NEGATIVE)
     digital = auwal.noisy(auwal.limited(slow, *auwal.NEGATIVE, bits=auwal.BITS), auwal.NOISE)
     everything = auwal.creeping(digital)
@@ -316,8 +316,10 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
         ("creep", "creep", auwal.creeping(slow), limits + creep, {}),
     ):
         runs = {m: auwal.run_triangle(auwal.driven(axis, m), period=period, **shape) for m in WAYS}
-        dithered = "the derivative amplifies the noise to a dither of several volts, and dither reduces hysteresis"
-        fails = f"{dithered}: the PID's error is smaller with it; {BETTER}" if name == "noise" else ""
+        dithered = (
+            "the derivative amplifies the noise to a dither of several volts, and the dither reduces the hysteresis"
+        )
+        fails = f"{dithered}, so the PID's error is smaller with noise; {BETTER}" if name == "noise" else ""
         claims += _ways(f"slow.{name}", group, words, runs, (*BASE, *further), fails)
     runs = {}
     errors: dict[str, dict[str, float]] = {method: {} for method in ALL}
@@ -332,19 +334,17 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
 
 
 def camera_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of an axis that has the paper's camera as its sensor."""
+    """Return the rows of an axis with the paper's camera as sensor."""
     group = "Realistic conditions: the camera in the loop, the paper's triangle"
     axis = auwal.noisy(auwal.at_rate(configuration, auwal.FRAME_RATE), auwal.CAMERA_NOISE)
     axis = auwal.limited(axis, *auwal.NEGATIVE)
-    # the plant rings at 1.28 Hz: at the camera's rate only an integral controller is stable with a margin
+    # the plant resonates at 1.28 Hz, so at the camera's rate only an integral controller is stable with a margin
     calm = dict(pid__Kp=0.0, pid__Ki=auwal.TABLE_1["K"], pid__Kd=0.0)
     feedforward = auwal.driven(axis, "combined").override("motion_controller", **calm)
     runs = {"pid": auwal.driven(axis, "pid"), "inverse": auwal.driven(axis, "inverse"), "combined": feedforward}
     found = {method: {"": auwal.mean_error(auwal.run_triangle(run))} for method, run in runs.items()}
     assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.FILTERED, auwal.CAMERA, auwal.STACK_LIMITS)
-    calmed = (
-        "with one frame of delay the loop with the paper's gains is unstable; integral control with 1/s replaces them"
-    )
+    calmed = "the paper's gains are unstable with one frame of delay; an integral gain of 1/s replaces them"
     claims = _judged("camera", group, "mean absolute error", found, assumed, f"{calmed}; {BETTER}")
     for frames, high in ((0, None), (1, 1.0)):
         claims.append(
@@ -356,7 +356,9 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
                 "1",
                 high=high,
                 assumptions=assumed,
-                reason="stable below 1: the gains tolerate the paper's camera only without delay" if frames else "",
+                reason="a modulus below 1 is stable: the gains tolerate the paper's camera only without delay"
+                if frames
+                else "",
             )
         )
     return claims
@@ -384,8 +386,8 @@ def frequency_claims(configuration: Configuration) -> list[Claim]:
     fast = auwal.limited(auwal.at_rate(configuration, auwal.FAST_RATE), *auwal.NEGATIVE)
     assumed = (*BASE, auwal.STACK_LIMITS)
     resonant = (
-        "near the resonance of 1.28 Hz the reference itself is a wrong feedforward, and the corners of a triangle need "
-        "more voltage than is available"
+        "near the resonance of 1.28 Hz the reference itself is a wrong feedforward, and the corners of a triangle "
+        "need a voltage beyond the limits"
     )
     claims = []
     triangles: list[tuple[str, str, Configuration, dict[str, Any]]] = [
@@ -411,7 +413,7 @@ def frequency_claims(configuration: Configuration) -> list[Claim]:
             100.0 * passed,
             "%",
             assumptions=assumed,
-            reason="a triangle of 10 Hz and full height needs commands of hundreds of µm: it is refused before "
+            reason="a triangle of 10 Hz and full height needs commands of hundreds of µm, so it is refused before "
             "any motion",
         )
     )

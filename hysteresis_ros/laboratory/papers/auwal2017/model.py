@@ -116,7 +116,7 @@ def misprinted(peak: float) -> float:
     h, step = 0.0, peak / STEPS
     for k in range(2 * STEPS):
         rising = k < STEPS
-        # the middle of the step
+        # at the middle of the step
         voltage = step * (k + 0.5 if rising else 2 * STEPS - k - 0.5)
         change = step if rising else -step
         h += p[ALPHA] * change - p[BETA] * step * voltage * 1e-6 - p[GAMMA] * change * abs(h)
@@ -137,7 +137,9 @@ def transfer_function_claims() -> list[Claim]:
             "%",
             paper=f"{published:g}",
             high=100.0 * CLOSE,
-            assumptions=("reduction: dominant pole pair and DC gain kept, damping fitted to the step response",),
+            assumptions=(
+                "reduction: keeps the dominant pole pair and the DC gain; the damping is fitted to the step response",
+            ),
         )
         for name, published in auwal.TABLE_1.items()
     ]
@@ -146,7 +148,7 @@ def transfer_function_claims() -> list[Claim]:
         ("damping", "damping ratio", reduced.damping, "1", auwal.DAMPING, 0.005),
     ):
         band: dict[str, Any] = dict(low=expected - room, high=expected + room)
-        kept = ("reduction: dominant pole pair and DC gain kept, damping fitted to the step response",)
+        kept = ("reduction: keeps the dominant pole pair and the DC gain; the damping is fitted to the step response",)
         claims.append(
             Claim(
                 f"model.{name}",
@@ -216,8 +218,8 @@ def _error_claims(group: str, found: Validation) -> list[Claim]:
             low=published["fit"],
             assumptions=assumed,
             reason="the fit is relative to the standard deviation of the signal, which is larger here than in the "
-            "paper's recording: 98.01 % with the paper's mean square error means a deviation of 4.5 µm, that of "
-            "a triangle of 15.7 µm",
+            "paper's recording: the paper's fit of 98.01 % and mean square error mean a standard deviation of "
+            "4.5 µm, that of a triangle of 15.7 µm",
         ),
         Claim(
             "model.mse",
@@ -229,7 +231,7 @@ def _error_claims(group: str, found: Validation) -> list[Claim]:
             low=0.9 * published["mse"] * 1e-12,
             high=1.1 * published["mse"] * 1e-12,
             assumptions=assumed,
-            reason="by construction: it is the added noise",
+            reason="holds by construction: the error is the added noise",
         ),
         Claim(
             "model.fpe",
@@ -355,8 +357,8 @@ def _identification_claims(group: str) -> list[Claim]:
             "1",
             paper=262.0,
             assumptions=(auwal.CORRECTED, auwal.LOADED),
-            reason="restarted with a new simplex until there is no improvement; the paper does not state its "
-            "stopping criterion",
+            reason="the search restarts with a new simplex until it finds no improvement; the paper does not state "
+            "its stopping criterion",
         )
     )
     return claims

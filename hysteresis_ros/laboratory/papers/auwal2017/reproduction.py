@@ -10,9 +10,9 @@
 """The experiments of Auwal et al. 2017 on the axis of ``config/auwal2017.yaml``, which states its assumptions.
 
 The experiments are: the transfer function and its validation (section 2), Bouc-Wen's model and its identification
-(section 3), PID and inverse multiplicative compensation (sections 4 and 5). Then they are repeated within the limits of
-the stack, with model errors, noise, creep, several cycles, other frequencies and the paper's camera, and better
-controllers are compared with the paper's controllers.
+(section 3), PID and inverse multiplicative compensation (sections 4 and 5). Then they are repeated with the limits of
+the stack, model errors, noise, creep, several cycles, other frequencies and the paper's camera. Better controllers are
+compared with the paper's controllers.
 """
 
 from __future__ import annotations
@@ -93,10 +93,11 @@ def figures(found: Reproduction) -> list:
             trajectory_figure(("K_P", "K_I", "K_D"), tuning.trajectory),
         ),
         ("The paper's triangle: loops of its three controllers", loops_comparison(loops)),
-        ("The paper's triangle: errors with and without the uncompensated run", _errors(paper, small)),
+        ("The paper's triangle: errors, with and without the uncompensated run", _errors(paper, small)),
         ("The paper's triangle within 0 … 150 V: errors", _errors(limited, small)),
         (
-            "All realistic conditions together, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",
+            "All realistic conditions together, d_e of the model 5 % too large: two triangles of 0.1 Hz, and the "
+            "first reversal",
             traces_comparison(
                 {auwal.METHODS[method]: run for method, run in together.items()}, (middle - 0.5, middle + 1.0)
             ),
