@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Studies of more than one run: ``hr.compare`` and ``hr.reproduce``, like the commands with these names."""
+"""Studies of more than one run: ``hr.compare`` and ``hr.reproduce``, the commands of the same names."""
 
 from __future__ import annotations
 

@@ -288,7 +288,7 @@ def test_an_axis_is_started_when_each_of_its_nodes_has_said_so(monkeypatch):
         with pytest.raises(HysteresisError, match=f"{node} refuses to start: not now"):
             link.start()
         assert len(link._client.asked) == place + 1, "those after it stay as they are"
-    with pytest.raises(AbsentError, match="no axis to start"):
+    with pytest.raises(AbsentError, match="no node of an axis is running"):
         linked(()).start()
 
 

@@ -167,13 +167,13 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
     ("duplicated", "each message comes twice", "", "duplicated", (0.0,)),
     (
         "without positions",
-        "names, and no positions",
-        "the voltage goes to its safe value, as without measurements",
+        "names without positions",
+        "the voltage goes to its safe value, as if no measurement arrived",
         "partial",
         (0.0,),
     ),
     ("of another device", "joint_states of a gripper between the measurements", "no effect", "foreign", (0.0,)),
-    ("clock of the driver", "stamps jump by 10 s forward, and by 10 s back", "", "stamped", (10.0, -10.0)),
+    ("clock of the driver", "stamps jump forward or back by 10 s", "", "stamped", (10.0, -10.0)),
 )
 
 
@@ -247,7 +247,7 @@ def _of_people():
     yield Mishap(
         "storm of parameters",
         heading,
-        "300 changes of random numerical parameters during moves, by 2 %, one in three to an invalid value",
+        "300 changes of random numerical parameters by 2 % during moves, one in three to an invalid value",
         "all are answered",
         "storm",
         amounts=(300.0,),
@@ -265,11 +265,11 @@ def _of_people():
 def _of_machines():
     heading = "Machine"
     yield Mishap("busy cores", heading, "all cores busy for 5 s during moves", "", "load", amounts=(5.0,))
-    recorded = "composed and as processes the recorder is a separate process"
+    recorded = "composed or as processes, the recorder is a separate process"
     yield Mishap(
         "killed while recording",
         heading,
-        "SIGKILL of the recording process, in fused mode of the axis; it is restarted",
+        "SIGKILL of the recording process, which is restarted; fused, it is the process of the axis",
         "the recording is readable and lacks at most its last 1.5 s; an axis in other processes continues",
         "cut recording",
         amounts=(0.5,),
@@ -299,7 +299,7 @@ def _of_devices():
     for fault, done in (
         ("busy", "an emulated GCS controller over TCP refuses commands as busy, for 1 s"),
         ("error", "it answers commands with an error, for 1 s"),
-        ("slow", "each answer comes 0.2 s later, for 2 s"),
+        ("slow", "each answer is delayed by 0.2 s, for 2 s"),
         ("silent", "it does not answer, for 2 s"),
         ("cut", "its link is cut, and refuses connections for 1 s"),
     ):

@@ -113,18 +113,24 @@ def _trace(values: dict) -> Trace:
 
 HEAD = """# Fault cases and their outcome
 
-Written by `hysteresis faults`: real nodes in a separate ROS domain, with the faults below. To run it on your machine
-with your axis, whose plant is then simulated: `hysteresis faults my_axis.yaml -o reliability.md`.
+The command `hysteresis faults` wrote this page. It runs real nodes in a separate ROS domain and injects the faults
+below. To test your own axis on your machine, with a simulated plant, run
+`hysteresis faults my_axis.yaml -o reliability.md`.
 
-Required of every case: {always}.
+Every case requires the following: {always}.
 
-A cell shows whether this and the requirement of the second column were met in this way of running, with the worst
-figures: the output voltages of the plant; the largest step of the voltage between two samples, relative to the
-allowed step; the
-displacement beyond the range between rest and setpoints, as a fraction of the stroke, from 5 % on (a tenth is allowed,
-plus the movement that the slew rate allows while voltages are late and the plant has not yet tripped); if the voltage
-must become safe, the time until it was; and the time from the end of the fault until the axis reached a new setpoint,
-including that move. Fused, every sample of the recording counts; composed and as processes, every message of the plant.
+Each cell states whether these requirements and that of the second column were met when the nodes ran in this way.
+"Held" means that they were met; "as above" means that only the requirements above apply. The worst figures follow:
+
+- the range of the output voltages of the plant;
+- the largest step of the voltage between two samples, divided by the allowed step;
+- the displacement beyond the range between rest and setpoints, as a fraction of the stroke, if it is 5 % or more (a
+  tenth is allowed, plus the movement at the slew rate while voltages are late and the plant has not yet tripped);
+- if the voltage must become safe, the time until it was safe;
+- the time from the end of the fault until the axis reached a new setpoint, including that move.
+
+If the way is fused, every sample of the recording is evaluated; if it is composed or processes, every message of the
+plant. A diagnostic message of the run is quoted.
 """
 
 

@@ -9,8 +9,8 @@
 
 """Results of the three papers' identification procedures on simulated plants, as quoted in the documentation.
 
-The class of the simulated plant always differs from the class of the fitted model, except for paper B, whose procedure
-must recover the parameters of the plant.
+The simulated plant is of another class than the fitted model, except for paper B, whose procedure must recover the
+parameters of the plant.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ def run(configuration: Configuration, duration: float) -> Recording:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """Figures of a run with steps between 0 and one level; each figure is the worst over the steps."""
+    """Figures of a run with steps between 0 and one level; each figure is the worst of all steps."""
 
     #: 2 % settling time [s], around the final value; the hold time if a step does not settle.
     settling: float
@@ -111,7 +111,7 @@ def step_figures(run: Recording) -> StepFigures:
 
 
 def loop_width(run: Recording) -> float:
-    """Return the largest width of the loop of displacement versus reference, in % of the reference's stroke.
+    """Return the largest width of the displacement-reference loop, in % of the reference's stroke.
 
     The reference of sample k first acts on the displacement of sample k + 1, so these two are compared. If there is a
     preview, the delayed reference is compared with the displacement of the same sample.

@@ -76,7 +76,7 @@ def scatter_figure(column: Column, parameters: dict[str, np.ndarray], ends: Sequ
 
 
 def levels_figure(column: Column, label: str, levels, spread: Sequence[np.ndarray], shares: Sequence[tuple]):
-    """Return the figure of a metric and of the yield at each level of a parameter."""
+    """Return the figure of a metric and the yield at each level of a parameter."""
     figure, axes = new_figure(3.2, 2 if shares else 1)
     numbers = all(isinstance(level, (int, float, np.number)) for level in levels)
     places = np.array(levels, dtype=float) if numbers else np.arange(len(levels))
@@ -159,7 +159,7 @@ def figures(summary: Summary) -> list[tuple[str, object]]:
         ends = () if bound is None else tuple(end for end in (bound.low, bound.high) if np.isfinite(end))
         if not np.any(np.isfinite(values)):
             continue
-        found.append((f"{column.label}: share of the runs below each value", share_figure(column, ends)))
+        found.append((f"{column.label}: fraction of the runs below each value", share_figure(column, ends)))
         if chosen:
             found.append((f"{column.label} versus the varied parameters", scatter_figure(column, chosen, ends)))
         at_levels = summary.at_levels

@@ -13,10 +13,10 @@ Levels: ``1um:5um:lin10`` (evenly spaced), ``0.1:2:log20`` (in a constant ratio)
 Distributions: ``±5%`` and ``±2nm`` (uniform around the configured value), ``uniform(A,B)``, ``loguniform(A,B)``,
 ``normal(MEAN,DEVIATION)`` and ``normal(±5%)`` (around the configured value; 5 % is the standard deviation).
 
-Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. All levels
-therefore have the same draws, and a longer sweep begins with the runs of a shorter sweep. Draw j of D distributions
-consists of the numbers j D … (j + 1) D - 1 of the PCG64 generator of the seed. A point therefore depends only on seed
-and run number, not on the process that computes it.
+Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. So all levels have
+the same draws, and a longer sweep begins with the runs of a shorter one. With D distributions, draw j consists of the
+numbers j D … (j + 1) D - 1 of the PCG64 generator with the seed. So a point depends only on seed and run number, not on
+the process that computes it.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: How a number drawn at random changes the configured value.
+#: Whether a random number replaces, multiplies or is added to the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance between random numbers; keeps them away from 0 and 1, where the inverse normal distribution is
-#: infinite.
+#: Half the spacing of the random numbers; it is added to keep them off 0 and 1, where the inverse normal distribution
+#: is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -261,7 +261,9 @@ class Normal(Range):
     def __post_init__(self):
         """Refuse a relative deviation with a given mean."""
         if self.relative and self.mean is not None:
-            raise ConfigurationError("normal: a relative deviation is around the configured value; mean must be None")
+            raise ConfigurationError(
+                "normal: a relative deviation is a fraction of the configured value, so mean must be None"
+            )
 
     @classmethod
     def around(cls, deviation: float, relative: bool = True) -> Normal:
@@ -380,7 +382,7 @@ def _ends(kind: str, low, high) -> tuple[float, float]:
 
 
 def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float, float]:
-    """Return middle and width of the factor on the configured value, or of the offset added to it."""
+    """Return middle and half width of the factor or of the offset that changes the configured value."""
     if row.type is int:
         raise ValueError("is a whole number: give its values, 12,14,16 or 4:16:lin13, or uniform(4,16)")
     width = _real(width, "width")
@@ -391,12 +393,12 @@ def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float,
 
 
 def _written(value: float, unit: str = "") -> str:
-    """Return a number as text that reads back to the same bits; a length gets its unit."""
+    """Return a number as text from which the same bits are read; a length gets its unit."""
     return repr(float(value)).removesuffix(".0") + (unit if unit == "m" else "")
 
 
 def _percent(part: float) -> str:
-    """Return a fraction as text in per cent, which reads back to the same bits if possible."""
+    """Return a fraction in per cent as text from which, if possible, the same bits are read."""
     percents = 100.0 * part
     near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
     return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
@@ -467,7 +469,7 @@ def refused(text: str, value, remedy: str) -> ParameterError:
     return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
-#: Deviations of the plant as a whole; they do not change the models of compensator and controller.
+#: Deviations of the whole plant; they leave the models of compensator and controller unchanged.
 DEVIATIONS = {
     "gain": "factor on the displacement of the plant's hysteresis",
     "opening": "factor on the width of its loops",
@@ -503,9 +505,9 @@ class Variation:
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):
-        """Return the new value of the parameter, and the number that represents it in the results."""
+        """Return the new value of the parameter, and the number that stands for it in the results."""
         drawn = self.over.at(place)
-        if isinstance(present, tuple) and self.place is None:  # the range of a whole array is a factor
+        if isinstance(present, tuple) and self.place is None:  # a whole array is multiplied by one factor
             return tuple(drawn * value for value in present), drawn
         before = present if self.place is None else present[self.place]
         value = drawn
@@ -542,7 +544,7 @@ def parse_variations(
     labels = [one.label for one in found]
     twice = [label for label in labels if labels.count(label) > 1]
     if twice:
-        raise refused(twice[0], "", "is given twice; give it once")
+        raise refused(twice[0], "", "is given twice; give each parameter once")
     for one in found:
         _require_allowed(one, _present(axis, one))
     return tuple(found)
@@ -583,7 +585,7 @@ def _variation(target: str, words: str | Range, axis: AxisParameters) -> Variati
     row = rows[name]
     element = replace(row, type=float) if row.type == tuple[float, ...] else row
     if row.type == tuple[str, ...]:
-        raise refused(target, words, "is a list of words, which cannot vary")
+        raise refused(target, words, "is a list of words and cannot vary")
     try:
         over = words.over(element) if isinstance(words, Range) else parse_range(words, element)
     except ValueError as error:
@@ -626,7 +628,7 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
 
 
 def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tuple[dict[str, dict[str, Any]], list]:
-    """Return the values of a run by node and name, and the numbers that represent them in the results."""
+    """Return the values of a run by node and name, and the numbers that stand for them in the results."""
     numbers: list = []
     changes: dict[str, dict[str, Any]] = {}
     for one, place in zip(variations, point, strict=True):
@@ -714,7 +716,7 @@ class Plan:
 
     @property
     def problem(self) -> dict:
-        """The problem in the form of SALib, on the unit cube."""
+        """Definition of the variables for SALib, on the unit cube."""
         count = len(self.variations)
         return {"num_vars": count, "names": [one.label for one in self.variations], "bounds": [[0.0, 1.0]] * count}
 
@@ -748,7 +750,7 @@ def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: 
         return Plan(variations, asked if spreads else levels, seed, design)
     count = len(variations)
     if design == SOBOL:
-        base = 2 ** int(math.log2(max(asked // (count + 2), 1)))  # the sequence is uniform only for powers of two
+        base = 2 ** int(math.log2(max(asked // (count + 2), 1)))  # the Sobol sequence is uniform only for powers of two
         least, made = 4 * (count + 2), base * (count + 2)
     else:
         least, made = 4 * (count + 1), asked // (count + 1) * (count + 1)

@@ -127,11 +127,12 @@ def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) ->
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
     """Return metrics of a run; an undefined metric is NaN.
 
-    An error is the difference between the reference and the true displacement, also between the samples. The preload
+    An error is the reference minus the true displacement, also between the samples. The preload
     offset of the controller's model is subtracted from the displacement. The reference is delayed by its preview,
-    unless the controller learns; it is linear between samples, except at jumps. All other metrics are defined at the
-    samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the errors of a plant with a camera
-    and all metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+    unless the controller learns; it is linear between samples, except at jumps. The other metrics, the errors of a
+    plant with a camera and all metrics of an inchworm motor are defined at the samples
+    (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`,
+    :func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)
@@ -152,9 +153,9 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
 def _between_samples(
     actuator: Actuator, signals: dict[str, np.ndarray], settings: AxisSettings, integral: bool
 ) -> dict[str, float]:
-    """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one.
+    """Return the figures of the error at :data:`INSTANTS` instants of each sample except the last.
 
-    The integral is computed only on request, because it takes a large part of the time of a short run.
+    The integral is computed only on request, because it takes a large part of the computing time of a short run.
     """
     reference = delayed(signals["reference"], settings.preview)
     sample_time = actuator.dynamics.sample_time
@@ -180,7 +181,7 @@ def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
     return np.where(size - np.maximum(before, after) > JUMP * stroke, 0.0, step)
 
 
-#: Lock for compilation and Python code, which run in one thread of a worker at a time.
+#: Lock for compilation and Python code: only one thread of a worker runs them at a time.
 _ONE_AT_A_TIME = threading.Lock()
 #: A block of this size [bytes] is allocated and freed before the runs. The C library of Linux then keeps memory that a
 #: run frees; otherwise the system would map every page of the tables again for the next run, 440 pages per run.
@@ -211,7 +212,7 @@ class Study:
 
     @functools.cached_property
     def _of_plant(self) -> bool:
-        """Whether only the plant varies, so that the range that the axis expects stays the same."""
+        """Whether only the plant varies; the expected range of the axis then stays the same."""
         return all(one.node == PLANT for one in self.variations)
 
     def runs(self, first: int, points: np.ndarray) -> Runs:

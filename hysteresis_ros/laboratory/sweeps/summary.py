@@ -9,8 +9,8 @@
 
 """Summary of a sweep: yield, sensitivities and figures, as text and as JSON.
 
-The interval of a yield is the Clopper-Pearson interval (Biometrika 26, 1934): it contains all fractions for which the
-observation is sufficiently likely, and covers the true fraction with at least the stated confidence.
+The interval of a yield is the Clopper-Pearson interval (Biometrika 26, 1934): it covers the true fraction with at least
+the stated confidence.
 
 SALib computes the sensitivities (Herman and Usher, J. Open Source Software 2 (9), 2017) from runs that are planned for
 this analysis: Saltelli's points for Sobol, trajectories for Morris.
@@ -164,7 +164,9 @@ def sensitivity(plan: Plan, metric: str, values: np.ndarray, confidence: float =
     labels = tuple(one.label for one in plan.variations)
     missing = int(np.count_nonzero(~np.isfinite(values)))
     if missing:
-        return Sensitivity(metric, labels, {}, f"{missing} of {len(values)} runs have no value: narrow the ranges")
+        return Sensitivity(
+            metric, labels, {}, f"{missing} of {len(values)} runs have no value: narrow the ranges of the parameters"
+        )
     if not np.ptp(values) > 0.0:
         return Sensitivity(metric, labels, {}, "the same in all runs")
     with warnings.catch_warnings():
@@ -191,7 +193,7 @@ def _morris(plan: Plan, values: np.ndarray, confidence: float) -> dict[str, np.n
 
 #: Maximum number of combinations of levels that are listed.
 LISTED = 25
-#: Fraction of the runs beyond the stated quantile.
+#: Fraction of the runs above the printed quantile.
 TAIL = 0.05
 SIX = 6  # digits of a printed parameter
 
@@ -204,7 +206,7 @@ class Summary:
     plan: Plan
     bounds: tuple[Bound, ...] = ()
     confidence: float = 0.95  #: Confidence of all intervals.
-    #: Sensitivity of each metric, if the plan is made for a sensitivity analysis.
+    #: Sensitivity of each metric, if the plan is one of a sensitivity analysis.
     sensitivities: tuple[Sensitivity, ...] = field(init=False)
 
     def __post_init__(self):

@@ -9,8 +9,8 @@
 
 """Execution of a sweep: the runs of a plan in parallel, stored as they finish, and resumed after an interruption.
 
-The first line of the journal defines the sweep; each further line contains some runs. Numbers are written such that
-reading them gives the same doubles. An incomplete last line is ignored, and its runs are repeated.
+The first line of the journal defines the sweep; each further line contains some runs. Reading a written number gives
+the same double. An incomplete last line is ignored, and its runs are repeated.
 """
 
 from __future__ import annotations
@@ -210,9 +210,9 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
     return {name: table[name].to_numpy() for name in table.column_names}, text
 
 
-#: Number of samples of one job, about a third of a second of work, and maximum number of runs per job.
+#: Number of samples of a job (about half a second of computing), and maximum number of runs per job.
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
-#: Number of workers above which jobs get longer, so that the distribution of jobs keeps up with the workers.
+#: A job grows by the factor workers / CROWD, rounded down, so that the distribution of jobs keeps up with many workers.
 CROWD = 64
 #: Number of samples below which parallel processes are not faster.
 FEW = 3_000_000
@@ -311,7 +311,7 @@ class _Table:
 
     @property
     def missing(self) -> list[np.ndarray]:
-        """Number ranges of the missing runs."""
+        """Numbers of the missing runs, in contiguous ranges."""
         numbers = np.flatnonzero(~self.made)
         return np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if numbers.size else []
 
@@ -330,7 +330,7 @@ class _Table:
         self.refused |= runs.refused
 
     def take(self, known: Results) -> None:
-        """Take over the runs of a shorter sweep."""
+        """Store the runs of a shorter sweep."""
         rows = np.column_stack([*known.metrics.values(), np.where(known.refused == "", known.tripped, np.nan)])
         why = {int(number): str(known.refused[number]) for number in np.flatnonzero(known.refused != "")}
         self.put(Runs(0, rows.tolist(), why))

@@ -31,7 +31,7 @@ from hysteresis_ros.errors import HysteresisError, did_you_mean, shortened
 from hysteresis_ros.files import BoundsError, read_json
 from hysteresis_ros.units import quantity
 
-#: Cookie that stores the token after its first use in an address.
+#: Cookie that stores the token after a page was opened with the token in its address.
 COOKIE = "hysteresis_watch"
 #: Random bytes in a token.
 TOKEN_BYTES = 24
@@ -98,7 +98,7 @@ class Access:
 
 
 class Control:
-    """Control of the axis, which one page has: the first page, until it closes or another page takes over."""
+    """Control of the axis: the first page that asks has it, until it closes or another page takes over."""
 
     def __init__(self) -> None:
         self._holder: int | None = None
@@ -126,7 +126,7 @@ class Control:
         return f"another page controls the axis ({self._place}, since {since}): take it over first"
 
     def told(self, page: int) -> dict:
-        """Return the state of the control in the form that is sent to a page."""
+        """Return the state of the control for a page."""
         return {
             "mine": self._holder == page,
             "holder": self._place if self._holder is not None else "",

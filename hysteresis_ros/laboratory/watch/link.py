@@ -114,14 +114,14 @@ def _unused(path: pathlib.Path) -> pathlib.Path:
     return found
 
 
-#: Interval at which the nodes of the graph are checked, and time that an answer may take [s].
+#: Interval at which the nodes of the graph are checked, and time-out of an answer [s].
 LOOK, ANSWER = 1.0, 5.0
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
 #: Nodes to start, in this order; nodes to stop if the plant does not belong to this package.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
-#: Time in which the nodes must notice that the plant has started, and polling interval [s].
+#: Time in which the nodes must notice the start of the plant, and polling interval [s].
 HEARS, AGAIN = 3.0, 0.05
 #: Parameter services that are called.
 PARAMETER_SERVICES = {
@@ -134,7 +134,7 @@ DEPTH = 1000
 
 
 class AxisLink:
-    """Connection to the nodes of an axis, with a separate thread (:meth:`run`) in which :meth:`ask` executes jobs."""
+    """Connection to the nodes of an axis; :meth:`run` is its thread, in which :meth:`ask` executes jobs."""
 
     def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
         self.namespace, self.folder = namespace, folder
@@ -407,7 +407,7 @@ class AxisLink:
     # -- state for the page ----------------------------------------------------------------------------------------
 
     def tables(self) -> dict:
-        """Return the data of a page other than signals: parameters with units and ranges, and limits."""
+        """Return the data of a page except signals: parameters with units and ranges, and limits."""
         values = dict(self.values)
         axis = self._axis
         return {
@@ -457,7 +457,7 @@ class AxisLink:
                 raise HysteresisError(f"{node} refuses to start: {answer.message}")
             said.append(node)
         if not said:
-            raise AbsentError("there is no axis to start")
+            raise AbsentError("no node of an axis is running; start the axis with `hysteresis up`")
         return "started"
 
     def hold(self) -> str:
@@ -486,7 +486,9 @@ class AxisLink:
             raise AbsentError("nodes of the axis are missing: nothing to record")
         axis = axis_of(self.namespace, self.values)
         if axis.kind.motor and self._collector is not None:
-            raise HysteresisError("this page records a motor only on a fused axis; start the axis with `up --record`")
+            raise HysteresisError(
+                "this page records a motor only if the axis is fused; record this axis with `up --record`"
+            )
         self.recording = PageRecording(self.folder, axis, self._joints())
         return f"recording into {self.recording.path}"
 

@@ -29,11 +29,11 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.samples import SECOND, Block
 from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
 
-#: An incomplete sample is shown as soon as there is a sample that is newer by this time [ns].
+#: An incomplete sample is shown once a sample is newer by more than this time [ns].
 PART_PATIENCE = 300_000_000
 #: Maximum number of incomplete samples that are kept.
 MOST_PENDING = 20_000
-#: Path of two axes in their plane: its length [s], and the number of its points.
+#: Path of two axes in their plane: its duration [s], and the number of its points.
 PLANE_WINDOW, PLANE_POINTS = 4.0, 1500
 
 
@@ -81,7 +81,7 @@ class Collector:
         rows = [self._pending.pop(int(stamp))[0] for stamp in stamps]
         self._done = max(self._done, until)
         table = np.array(rows).T.reshape(self._row, len(rows))
-        # samples are counted: a late plant shifts its schedule, so the stamp does not give the number of the sample
+        # samples are counted, because a late plant shifts its schedule and the stamp does not give the sample number
         self._count += len(rows)
         return Block(stamps, np.arange(self._count - len(rows), self._count), table, None)
 
@@ -138,8 +138,8 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        # the measurement of a motor's controller is the slider position minus an origin; while the motor walks, this
-        # difference is the extension of the extender
+        # a motor's controller measures slider position minus origin; while the motor walks, this is the extender's
+        # extension
         origin = table[signals.ORIGIN] if self.motor else 0.0
         own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
         return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])
@@ -198,7 +198,7 @@ class Memory:
         return {"frequency": frequency.tolist(), "density": density.tolist()}
 
 
-#: Signals whose last values are shown as figures.
+#: Signals of a motor whose last values are shown as numbers.
 MOTOR_VALUES = (
     "phase",
     "direction",

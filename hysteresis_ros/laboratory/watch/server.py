@@ -9,7 +9,7 @@
 
 """The web server of the page: files, one web socket per open page, and a stop request that needs no socket.
 
-The argument of its process is the JSON of :mod:`hysteresis_ros.laboratory.watch.server_process`.
+The argument of its process is the JSON object of :mod:`hysteresis_ros.laboratory.watch.server_process`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ LONGEST, WAITING = 64 * 1024, 32
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
 #: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0
-#: Time that open pages get to close at the end [s], and interval at which other events are checked [s].
+#: Time-out for closing the open pages at the end [s], and interval at which other events are checked [s].
 PATIENCE, LOOK = 1.0, 0.2
 #: Maximum numbers of open pages and of connections; time in which a new connection must send a request [s].
 MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0

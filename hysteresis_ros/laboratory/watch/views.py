@@ -9,12 +9,12 @@
 
 """Data of a page: history and frames of the samples, and a table of the parameters in use; no ROS, no web server.
 
-At sample rates of kilohertz, one column of the screen covers many samples. The column shows their minimum and maximum,
-in the order in which they occurred, so no peak is lost, however short it is.
+At sample rates of kilohertz, one column of the screen covers many samples. The column shows their minimum and maximum
+in the order in which they occurred, so even the shortest peak is shown.
 
 A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, and then
 numbers (float32, little-endian, SI). The numbers are, for each signal in the header and each column of the screen, the
-minimum and the maximum in the order in which they occurred; then follow the points of the loops.
+minimum and the maximum in the order in which they occurred. The points of the loops follow.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return the points of a curve of several signals at which any signal has its minimum or maximum in a bin."""
+    """Return those points of a curve at which any of its signals has its minimum or maximum in a bin."""
     rows = len(table)
     if length <= 2 * rows:
         return table
@@ -202,7 +202,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Return whether a parameter has no effect, because its control law is not selected or its block is absent."""
+    """Return whether a parameter has no effect: its control law is not selected, or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True
@@ -251,7 +251,7 @@ def _is_ours(node: str, name: str) -> bool:
 def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
     """Return the ranges that a page draws: of the reference [m], of the voltage [V] and of setpoints [m].
 
-    The range of setpoints is reduced by the amplitude of the waveform, as the reference source does.
+    The range of setpoints leaves room for the waveform, as in the reference generator.
     """
     source = values.get(MOTOR_SOURCE) or values.get("reference_generator", {})
     compensator = values.get("hysteresis_compensator", {})

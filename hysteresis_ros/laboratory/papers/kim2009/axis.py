@@ -21,7 +21,7 @@ from hysteresis_ros.recordings.dataset import Recording
 STEP = 1.0  # V before the amplifier
 STEP_TIME = 0.4  # s
 UNCONTROLLED_PEAK = (3.7e-6, 3.8e-6)  # m, section 4.2 and figure 12
-HALF_DIGIT = 0.05e-6  # m, half the last digit of these two peaks
+HALF_DIGIT = 0.05e-6  # m, half a unit of the last digit of these two peaks
 UNCONTROLLED_SETTLING = 0.5  # s
 CONTROLLED_PEAK = 2.25e-6  # m
 CONTROLLED_SETTLING = 0.02  # s
@@ -52,14 +52,14 @@ NOISE = 5e-9  # m rms
 GAIN_TOLERANCE = 2e-4
 GOOD_RESIDUAL = 0.01e-6  # m: assumed meaning of "completely removed"
 
-MODEL = "realisation A, B, C at 3 kHz: one of many that give S, the linear gain and L; the paper prints none"
-LAW = "Φ = 0.93, δ = 0.01; the steady-state target as reference: the law as printed only regulates to zero"
+MODEL = "A, B, C at 3 kHz: one of many realisations that give S, the linear gain and L; the paper prints none of them"
+LAW = "Φ = 0.93, δ = 0.01; the steady-state target as reference, because the law as printed only regulates to zero"
 STACK = (
-    "hysteresis: gain 0.1025 µm/V, 0.0125 µm left at 0 V per volt of the peak, loop width 15 % at 120 V; "
+    "hysteresis: gain 0.1025 µm/V, residual at 0 V 0.0125 µm per volt of the peak, loop width 15 % at 120 V; "
     "minor-loop rule"
 )
 AMPLIFIED = "amplifier gain 20, limits −30 … 120 V"
-SETTLED = "settling: within 2 % of the step around the value finally reached, longest of the steps"
+SETTLED = "settling: within 2 % of the step around the final value; the longest settling time of all steps"
 FULL_STROKE = "triangle from 0 to the displacement of 120 V on the virgin curve (fig. 13 gives no number in the text)"
 REACHED = (
     "triangle to 95 % of the displacement of 120 V, which a compensator with 5 % lower coefficients can just reach"
@@ -68,7 +68,9 @@ RATE = "R g = 1, and 1.12 from the printed R = 0.5475 with 2.05 µm/V"
 CLEAN = "“completely removed” taken as less than 0.01 µm"
 CLOSED = "“closed” taken as less than 0.01 % of the stroke"
 COMPLIANCE = "W linear in the preload: A1 = B2 = 0, B1 = −1/(0.41 N/µm)"
-ESTIMATOR = "Kalman gain from the Riccati equation, q/r = 0.685, variance 0.01 V² of the disturbance's change a sample"
+ESTIMATOR = (
+    "Kalman gain from the Riccati equation, q/r = 0.685, variance of the disturbance's change 0.01 V² per sample"
+)
 VIBRATING = "“remains” taken as more than 2 % of the step"
 REAL = "compensator's coefficients off by ±5 % (the worse result is shown), sensor noise 5 nm rms, 16-bit converters"
 

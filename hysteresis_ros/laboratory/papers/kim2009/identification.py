@@ -63,7 +63,7 @@ def stack_truth(opening: float = 0.15, stroke: float = 12.45e-6, fading: float =
 
 @dataclass(frozen=True)
 class PaperK:
-    """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a held-out decreasing triangle."""
+    """Polynomial model of a noisy Prandtl-Ishlinskii stack, and its errors on a held-out decreasing triangle."""
 
     model: PolynomialIdentification
     #: stroke, maximum, rms: Range of the decreasing triangle, and the model's largest and rms error on it [m]; the
@@ -139,16 +139,16 @@ BAND = (135, 1135)  # Hz: 1 kHz around the resonance
 # Assumed here.
 EXCITATION = 0.1e-6  # m, peak of the multisine
 WORKING_POINT = 4.0e-6  # m
-PERIODS, SETTLING = 8, 2  # periods of 1 s: of a run, and at its beginning, in which vibrations decay (not evaluated)
+PERIODS, SETTLING = 8, 2  # periods of 1 s: all of a run, and the first ones, not evaluated: vibrations decay
 
 LOOPS = (
-    "truth for K2: Prandtl-Ishlinskii stack of 40 plays, loop width 15 % of 12.45 µm; not the polynomial that is "
-    "fitted; noise 5 nm rms"
+    "truth for K2: Prandtl-Ishlinskii stack of 40 plays, not the fitted polynomial; loop width 15 % of 12.45 µm; "
+    "noise 5 nm rms"
 )
 DECREASING = "decreasing triangle of 20 cycles from 117 V, not used for the fit"
 MEASURED = (
-    "multisine of 1001 lines from 135 to 1135 Hz, 0.1 µm peak around 4 µm, 6 periods of 1 s, through the hysteresis, "
-    "with noise 5 nm rms and 16-bit converters"
+    "multisine of 1001 lines from 135 to 1135 Hz, 0.1 µm peak around 4 µm, 6 evaluated periods of 1 s, through the "
+    "hysteresis, with noise 5 nm rms and 16-bit converters"
 )
 GROUP = "Identification (sections 2.2 to 2.4)"
 

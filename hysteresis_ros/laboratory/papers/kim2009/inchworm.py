@@ -30,14 +30,14 @@ from hysteresis_ros.loop.source import SequencerSource
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
 
-#: The load and the clamps of the harder case: 2 N and 20 % less normal force.
+#: The harder case: a load of 2 N, and clamps with 20 % less normal force.
 LOADED = {
     "inchworm__slider__external_force": -2.0,
     "inchworm__front_clamp__wear": 0.8,
     "inchworm__rear_clamp__wear": 0.8,
 }
 
-#: Realistic conditions: each parameter of the extender is up to 5 % off, and the extender creeps by 1.5 % a decade.
+#: Realistic conditions: each parameter of the extender deviates by up to 5 %, and it creeps by 1.5 % per decade.
 MISMATCH = 0.05
 CREEP = {"creep__type": "logarithmic", "creep__logarithmic__rate": 0.015}
 
@@ -157,8 +157,8 @@ class Sequences:
 
     count: int  #: Number of sequences.
     both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
-    least_force: float  #: Smallest value over all samples of the larger of the two clamps' normal forces [N].
-    beyond_limits: int  #: Samples at which a voltage was outside of its limits.
+    least_force: float  #: Normal force of the clamp that grips harder, minimum over all samples [N].
+    beyond_limits: int  #: Samples at which a voltage was outside its limits, counted for each voltage.
     #: Largest displacement beyond the range that start, setpoints and walking distance of a sequence define [m].
     farthest: float
     unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.

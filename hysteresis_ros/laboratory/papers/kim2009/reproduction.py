@@ -123,7 +123,7 @@ def figures(found: Reproduction) -> list:
 
 
 def _deviation(name: str, quantity: str, found, published, assumption: str) -> Claim:
-    """Return the row that compares numbers with the published numbers by the largest deviation."""
+    """Return the row with the largest deviation of numbers from the published ones."""
     return Claim(
         f"model.{name}",
         MODEL_GROUP,
@@ -169,7 +169,7 @@ def _model_claims(axis: AxisParameters) -> list[Claim]:
         Claim(
             "model.dc_gain",
             MODEL_GROUP,
-            "displacement a volt before the amplifier",
+            "displacement per volt before the amplifier",
             scale / rest_input,
             "m/V",
             paper=kim.DC_GAIN,

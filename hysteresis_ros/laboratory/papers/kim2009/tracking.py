@@ -233,7 +233,8 @@ def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
     assumed = (kim.STACK, kim.AMPLIFIED, kim.FULL_STROKE)
     reason = (
         "the running model has memory, so a trial voltage below the present one is a reversal, and the steps reduce "
-        "the loop width further than on the bare branches; the row holds when the loop is not wider than on these"
+        "the loop width further than on the branches without memory; the row holds if the loop is not wider than on "
+        "these branches"
     )
 
     def row(name, quantity, configuration, **more):
@@ -305,8 +306,8 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
     height = (1.0 - kim.MISMATCH) * stroke
     reason = (
         "a model with the same relative error in every coefficient is the plant times a constant: its inverse still "
-        "removes the loop, and only the stroke is wrong; with an error of its loop width, the corresponding part "
-        "of the width remains"
+        "removes the loop, and only the stroke is wrong; if only the loop width of the model is wrong, the "
+        "corresponding part of the width remains"
     )
 
     def row(name, quantity, change, then=None, **more):
@@ -339,7 +340,7 @@ CYCLES = 10
 STEP_CYCLES = 6
 
 ALONE = "one condition at a time; all else as in (d): the compensator knows the plant, no noise, ideal converters"
-CREEPING = "creep of the plant 1 % of the step a decade of time (logarithmic law, from 0.1 s on)"
+CREEPING = "the plant creeps by 1 % of the step per decade of time (logarithmic law, from 0.1 s on)"
 COARSE = "12-bit converters over −30 … 120 V: 3.8 nm per step"
 STRUCTURE = "resonance of the plant off by ±1 % or ±5 % (the worse result is shown), damping ratio and gain kept"
 OPENING = "loop width of the compensator's model off by +5 %, sensor noise 5 nm rms, 16-bit converters"
@@ -351,9 +352,9 @@ class Condition:
 
     name: str  #: Middle part of the rows' names.
     words: str
-    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → axes; the worst axis is evaluated.
+    changes: Callable[[Configuration], list[Configuration]]  #: Return the axes; the worst is evaluated.
     assumed: tuple[str, ...] = (ALONE,)
-    mismatch: float = 0.0  #: Deviation of two axes, one in each direction; 0: a single axis.
+    mismatch: float = 0.0  #: The two axes deviate by ± this mismatch; 0: a single axis.
     reasons: tuple[tuple[str, str], ...] = ()  #: Name of a row, and the reason why it does not hold.
 
 
@@ -376,13 +377,13 @@ def other_structure(configuration: Configuration, mismatch: float) -> Configurat
 
 
 _ON_TRUST = (
-    "the paper's law relies on the gain of the model: its error remains on the upper level; the filter that estimates "
-    "a disturbance removes it"
+    "the paper's law relies on the gain of the model, so the error of this gain remains on the upper level; the "
+    "filter that estimates a disturbance removes it"
 )
 _NO_NEGATIVE = "with D > 0 no positive voltage returns the stack to zero, with any controller"
 _OUT_OF_REACH = "an amplifier limited to 18 V cannot reach the step with any controller"
 _REMEMBERED = (
-    "the compensator's model has the memory of a 20 V peak that the plant never received, so it returns too far"
+    "the compensator's model remembers a 20 V peak that the plant never received, so a residual remains at 0 V"
 )
 _DIGIT = (
     "command and achieved command differ by a constant of at most half a quantisation step of 3.8 nm, and the reaching "

@@ -11,8 +11,8 @@
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor differs from its models: its
 extender deviates at random from the configured extender, and its voltages are a sample late. The motor is simulated at
-four times the sample rate, and errors are those of the true displacement at this rate. The correction learned at one
-speed is used at other speeds.
+four times the sample rate, and errors are those of the true displacement at this rate. The correction is learned at one
+speed and used at all speeds.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Deviation:
 
 
 class Walker:
-    """An inchworm motor that walks continuously, simulated also between the samples; its voltages are a sample late."""
+    """An inchworm motor that walks continuously, simulated also between samples; its voltages are one sample late."""
 
     def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True, plain: bool = False):
         configuration = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)
@@ -118,7 +118,7 @@ class Walker:
         return found
 
     def walk(self, speed: float, cycles: float) -> tuple[np.ndarray, np.ndarray]:
-        """Walk at ``speed`` [m/s] for some cycles; returns phase and displacement [m] at all instants."""
+        """Walk at ``speed`` [m/s] for some cycles; return phase and displacement [m] at all instants."""
         self.sequencer.walk(speed)
         step = self.sequencer.parameters.walk.step
         samples = round(cycles * step / abs(speed) * self.axis.sample_rate)

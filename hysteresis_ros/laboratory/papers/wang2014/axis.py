@@ -51,7 +51,10 @@ WORDS = {
     BETTER: "Prandtl-Ishlinskii",
 }
 
-TRUTH = "truth: modified Prandtl-Ishlinskii element, 0.77 mm at 1 V, loop width 11 % (the tables' numbers are lost)"
+TRUTH = (
+    "truth: modified Prandtl-Ishlinskii element, 0.77 mm at 1 V, loop width 11 % (the numbers of the paper's tables "
+    "are missing)"
+)
 DYNAMICS = "linear part of the truth: poles at 10 and 30 Hz, zero at 20 Hz, 200 samples/s"
 RECORDED = "identified from recordings with 1 µm rms of noise, 16-bit converter, limits ±1.2 V"
 REFERENCE = (

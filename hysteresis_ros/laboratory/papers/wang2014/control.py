@@ -118,7 +118,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
                     f"{name}.harmonics",
                     quantity=f"{words}: rms that no linear inverse removes, % of amplitude",
                     measured=figures.harmonics,
-                    reason="everything except the fundamental of the last cycle: the least error of any linear inverse",
+                    reason="the error of the last cycle without its fundamental: no linear inverse has a smaller error",
                     **common,
                 )
             )
@@ -141,7 +141,8 @@ def _expected_reduction(paper: bool, full: bool) -> dict:
     """Return the expected range of a reduction; inside the loop, the paper's model is worse than the linear model."""
     if paper and not full:
         reason = (
-            "the model with α = 80 jumps to the branches of the loop from which it was made, and is wrong inside it"
+            "the model with α = 80 returns at once to the branches of the loop from which it was identified, so it "
+            "is wrong inside this loop"
         )
         return dict(paper="worse", derived=True, high=0.0, reason=reason)
     return dict(paper="at least 50" if paper else None, low=wang.REDUCTION)
@@ -185,8 +186,8 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
         )
     group = f"Realistic conditions: the plant has changed since the identification, {HONEST} rad/s (worse sign)"
     spoilt = (
-        "a feedforward relies on the gain of its model, so an error of the gain remains; with 5 % no model of the "
-        "loop's shape reduces it, but feedback does (rows feedback)"
+        "a feedforward relies on the gain of its model, so an error of the gain remains; at 5 % no model of the loop "
+        "shape reduces it, but feedback does (rows feedback)"
     )
     for mismatch in MISMATCHES:
         for name, change, words in (("gain", wang.stronger_plant, "gain"), ("loop", wang.wider_plant, "plays")):

@@ -11,8 +11,8 @@
 
 ``python -m hysteresis_ros.laboratory.papers.wang2014.identification`` makes the recordings, identifies the four models
 and prints what it found; with ``-o DIR`` it writes ``wang2014.yaml`` (Prandtl-Ishlinskii), ``wang2014_duhem.yaml`` (α
-from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. Only two
-parameters of the truth are used, which an experimenter also knows: the range of the voltage and the sample time.
+from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. Only two parameters of
+the truth are used, because an experimenter knows them too: voltage range and sample time.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ def polymer_truth(plays: int = 40) -> PrandtlIshlinskiiParameters:
 
 @dataclass(frozen=True)
 class PaperW:
-    """Duhem model of a modified Prandtl-Ishlinskii element; errors as a fraction of the full range."""
+    """Duhem model of a modified Prandtl-Ishlinskii element, and its errors as fractions of the full range."""
 
     #: identified, published: Models with α from a decaying loop, and with the paper's α = 80.
     identified: DuhemIdentification
     published: DuhemIdentification
     inverse: DuhemIdentification  #: Inverse model, from step W4.
     opening: float  #: Loop width.
-    compensated: float  #: Largest error of the inverse followed by the truth, along the major loop.
+    compensated: float  #: Largest error along the major loop of the inverse followed by the truth.
     #: decaying, decaying_published: Rms error on held-out decaying loops, with the identified and with the paper's α.
     decaying: float
     decaying_published: float
@@ -178,7 +178,7 @@ def identify_minor(sines, decreasing, sweep, sample_time: float) -> tuple[DuhemP
     model = replace(found.hysteresis.parameters, input_start=0.0, output_start=0.0)
     passed = DuhemHysteresis(model, sample_time).simulate(sweep[0])
     dynamics, _ = _dynamics(passed, sweep[1], sample_time)
-    # the sweep does not reach the ends of the loop, so the gain comes from the measurement of the loop
+    # the sweep does not reach the ends of the loop, so the gain comes from the recording of the loop
     gain = 1.0 / float(abs(linear_response(dynamics, [min(wang.RECORDED_CYCLES)])[0]))
     model = replace(model, output_low=gain * model.output_low, output_high=gain * model.output_high)
     return model, found.hysteresis.alpha, dynamics
@@ -219,7 +219,7 @@ def identify(configuration: Configuration) -> Models:
 
 
 class _Watched(LoopOperator):
-    """Stores the rms error of every network that is tried on the loop."""
+    """Stores the rms error on the loop of every tried network."""
 
     def __init__(self, loop: MajorLoop, alpha: float):
         super().__init__(loop.grid, alpha, loop.rising[0])

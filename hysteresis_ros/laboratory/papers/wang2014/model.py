@@ -27,7 +27,7 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-SAMPLES = 1000  # samples per cycle of the truth's element alone, which is rate independent
+SAMPLES = 1000  # samples per cycle of the truth's hysteresis element, which is rate independent
 DECAY = 4.0  # cycles in which the amplitude of the unseen loops falls to 1/e
 UNSEEN_CYCLES = 10
 REVERSALS = (0.0, 0.3)  # fractions of ±1: from the upper end down to the first value, then up to the second
@@ -35,12 +35,10 @@ KNOTS = 20
 
 ELEMENT = "the truth's hysteresis element alone, without noise and linear part"
 UNSEEN = (
-    "an undamped cycle to ±1 V, then 10 of decaying amplitude, to 1/e every 4; the undamped one is evaluated too, "
-    "except for its first quarter, from rest, and it defines the peak-to-peak"
+    "an undamped cycle to ±1 V, then 10 cycles whose amplitude falls to 1/e every 4 cycles; all are evaluated except "
+    "the first quarter cycle, which starts from rest; the undamped cycle defines the peak-to-peak"
 )
-ALONE = (
-    "the decaying cycles alone, from rest; their first quarter cycle is not evaluated, and they define the peak-to-peak"
-)
+ALONE = "the decaying cycles alone, from rest; their first quarter cycle is not evaluated; they define the peak-to-peak"
 VARIANTS = {
     "closed_form": "as corrected",
     "g_half": "g without the ½ before α",
@@ -77,7 +75,7 @@ class Element:
 
 
 def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
-    """Return the rms error (of ±1) of the Duhem equation along a loop, with W3 as intended and as misread."""
+    """Return the rms error (output range ±1) of the Duhem equation along a loop, with W3 as intended and as misread."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     rising, falling = (CubicSpline(loop.grid, branch) for branch in (loop.rising, loop.falling))
@@ -118,11 +116,11 @@ def shape_claims(configuration: Configuration) -> list[Claim]:
                     low=None if right or harmless else low,
                     high=wang.CLOSED_FORM if right else None if harmless else high,
                     assumptions=(wang.TRUTH, ELEMENT),
-                    reason="the sign of the slopes in f has little effect with α = 80, which divides them; not "
+                    reason="f contains the slopes divided by α, so with α = 80 their sign has little effect; not "
                     "evaluated"
                     if harmless
-                    else "the sign is the worst of the misreadings, with twice the error of the missing ½; the error "
-                    "grows with the loop width, here 11 %, and the expected range was calculated for another truth"
+                    else "this misreading has the largest error, twice that of the missing ½; the error grows with "
+                    "the loop width, here 11 %, and the expected range was calculated for another truth"
                     if name == "g_sign"
                     else "",
                 )
@@ -161,8 +159,8 @@ def _alpha_claims(element: Element) -> list[Claim]:
                 100.0 * _alone(element, alpha),
                 "%",
                 assumptions=(wang.TRUTH, ELEMENT, ALONE),
-                reason="the undamped cycle before is the widest loop, to which every α was fitted; without it α = 3 "
-                "would not meet the tolerance of w3.decaying.alpha_3",
+                reason="the omitted undamped cycle is the widest loop, to which f and g were fitted for every α; "
+                "without it α = 3 would not meet the tolerance of w3.decaying.alpha_3",
             )
         )
     for alpha in (3.0, wang.PUBLISHED_ALPHA):
@@ -191,7 +189,7 @@ def _alone(element: Element, alpha: float) -> float:
 
 
 def _wrong_way(element: Element, alpha: float) -> float:
-    """Return by how much the output falls while the input rises again from inside the loop [m]."""
+    """Return how far the output falls [m] while the input rises again inside the loop."""
     down, up = REVERSALS
     model = element.duhem(alpha)
     model.simulate(element.cycle)
@@ -237,9 +235,8 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
             model - truth,
             "%",
             assumptions=(*assumed, wang.RECORDED),
-            reason="with each amplitude normalised, the loops look alike and the model seems to fit at both "
-            "amplitudes; but it was fitted in volts at one amplitude, and at half of this amplitude its loop has "
-            "another width",
+            reason="if each amplitude is normalised, the loops look alike, and the model seems to fit at both; but "
+            "it was fitted at one amplitude in volts, and at half of this amplitude its loop has another width",
         ),
     ]
 
