@@ -188,7 +188,7 @@ class HysteresisAxis(StandardReadable):
         if link.look().alarm != SOUND:
             self.close()
             space = self.settings.namespace or "/"
-            raise HysteresisError(f"no axis in {space} within {timeout:g} s: is it running, and in this ROS domain?")
+            raise HysteresisError(f"no axis in {space} within {timeout:g} s: start it, or use its ROS domain")
         self._show()
 
     def close(self) -> None:

@@ -136,7 +136,7 @@ def test_a_device_without_an_axis_says_so(domain, tmp_path, monkeypatch):
     """Within its time-out, with what to look at."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     stage = HysteresisAxis(write_axis(tmp_path / "axis.yaml", axis_parameters()), name="stage")
-    with pytest.raises(HysteresisError, match="is it running, and in this ROS domain"):
+    with pytest.raises(HysteresisError, match="start it, or use its ROS domain"):
         asyncio.run(stage.connect(timeout=0.2))
     with pytest.raises(HysteresisError, match="not connected"):
         asyncio.run(stage.locate())

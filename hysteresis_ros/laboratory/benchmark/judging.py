@@ -121,7 +121,7 @@ def judge(spec: str, task: Task, returned: Answer | str) -> Row:
 def interval(error: np.ndarray) -> tuple[float, float]:
     """Return the 95 % interval of an RMS error by resampling blocks of its squares.
 
-    A block lasts twice the integrated correlation time of the squares, and at most a tenth of the samples (Künsch,
+    A block lasts twice the integrated correlation time of the squares, but at most a tenth of the samples (Künsch,
     Annals of Statistics 17(3), 1989, on blocks; Sokal, 1997, on the correlation time).
     """
     squares = np.asarray(error, dtype=float) ** 2

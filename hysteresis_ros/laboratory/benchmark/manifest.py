@@ -112,7 +112,9 @@ class Task:
                 f"{self.test.sample_time:g} s; they must be equal"
             )
         if not 0 <= self.first < len(self.test) - 1:
-            raise IdentificationError(f"{self.name}: the test part has no sample after the first {self.first} (skip)")
+            raise IdentificationError(
+                f"{self.name}: the test part has no samples after the first {self.first} (skip): lower skip"
+            )
 
     @property
     def stroke(self) -> float:
@@ -171,7 +173,7 @@ def _part(where: str, given) -> Part:
 
 def _require_keys(where: str, given, known: Mapping[str, str], needed: tuple[str, ...]) -> None:
     if not isinstance(given, dict):
-        raise ConfigurationError(f"{where}: must have the keys {', '.join(known)}")
+        raise ConfigurationError(f"{where}: must be a mapping with the keys {', '.join(known)}")
     for key in given:
         if key not in known:
             raise ConfigurationError(

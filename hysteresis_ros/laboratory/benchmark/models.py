@@ -88,7 +88,7 @@ class ClassicalPrandtlIshlinskii:
 
 #: Tried numbers of delayed outputs and inputs, and tried ridge parameters, relative to the mean square.
 ORDERS, RIDGE = ((1, 1), (2, 2), (3, 3), (2, 4)), (1e-10, 1e-7, 1e-4)
-#: Last fraction of the fit data, which selects orders and ridge; scaled output beyond which a free run has diverged.
+#: Last fraction of the fit data, on which orders and ridge are selected; scaled output above which a free run diverges.
 HELD_OUT, DIVERGED = 0.25, 10.0
 
 

@@ -31,7 +31,7 @@ HEADINGS = ("model", "error (RMS)", "95 % interval", "of stroke", "largest", "pa
 JUDGED = (
     "Each model is fitted to the train part. For the test part it receives only the input, and runs freely from rest.",
     "Error: RMS of measured minus predicted output over the judged samples of the test part.",
-    "Interval: 95 %, by resampling blocks of the squared error that are longer than its correlation; it holds for "
+    "Interval: 95 %, by resampling blocks of the squared error that are longer than its correlation time; it holds for "
     "other parts of this recording, not for other recordings.",
     "Fit and prediction: processor time, including the compilation of compiled models.",
 )

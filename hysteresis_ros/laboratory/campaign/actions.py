@@ -244,7 +244,7 @@ REFUSED = 2
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Requested lifecycle transitions: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints, and the number of setpoints from one invalid setpoint to the next.
+#: Invalid setpoints; one in so many published setpoints is invalid.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 

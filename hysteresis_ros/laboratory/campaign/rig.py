@@ -43,7 +43,7 @@ from hysteresis_ros.recordings.align import read_recording
 #: Name of the process that contains all nodes, and of the separate recorder of nodes that exchange messages.
 AXIS, RECORDER = "hysteresis_axis", "recorder"
 
-#: Number of words from the end of the output that a report about an ended process quotes.
+#: Number of last words of the output that a report about an ended process quotes.
 LAST_WORDS = 30
 
 

@@ -9,7 +9,7 @@
 
 """The controllers and compensators of the comparison, designed only from the models of an axis.
 
-Designs get a :class:`Known`. It is made from a configuration without the section of the plant, so it cannot contain a
+Designs get a :class:`Known`: a configuration whose plant is built from the axis' own models. So it cannot contain a
 random plant (:mod:`hysteresis_ros.laboratory.comparison.tasks`).
 """
 
@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import single_axis
 
-#: Kinds of damping that use the displacement, in the order in which they are tried; kind that uses a measured force.
+#: Kinds of damping by the displacement, in the order in which they are tried; kind of damping by a measured force.
 KINDS = ("irc", "ppf")
 BY_FORCE = ("iff",)
 
@@ -112,7 +112,8 @@ class Known:
 
     configuration: Configuration  #: One axis.
     noise: float = 0.0  #: Noise of the sensor [m rms], by its data sheet.
-    #: Uncertainty of the identified response; designs of learning use it, as ``hysteresis design`` does. None: unknown.
+    #: Uncertainty of the identified response (None: unknown); learning is designed with it, as by ``hysteresis
+    #: design``.
     response: ResponseUncertainty | None = field(default=None, compare=False)
 
     @property
@@ -258,8 +259,8 @@ class Given:
     def tuned(self, kind: str) -> dict:
         """Return gains for the fastest reference, tuned on the models of compensator and controller.
 
-        The tuning has no feedforward, even if the controller gets one: with exact models a feedforward leaves no error,
-        and all gains would be equally good.
+        The gains are tuned without feedforward, even if the controller gets one: with exact models, feedforward leaves
+        no error, and all gains would be equally good.
         """
         key = (kind, *self.compensator.items())
         if key not in self.gains:

@@ -303,7 +303,7 @@ def figures(table: Table) -> list:
 
 
 def chosen_rows(table: Table) -> list[Row]:
-    """Return the rows to plot: the benchmark, the best row without feedback, and the best row of all."""
+    """Return the rows to plot: the benchmark, the best row of :data:`SHOWN`, and the best ranked row."""
     done = [row for row in table.rows if row.results and not row.unstable]
     found = [table.yardstick]
     for row in [row for row in done if row.controller == SHOWN][:1] + [row for row in done if row.ranked][:1]:

@@ -7,8 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motor record of an axis: its settings, its fields and the effects of writing them; without ROS and Channel
-Access."""
+"""The motor record of an axis: settings, fields and the effects of writing fields; no ROS, no Channel Access."""
 
 from __future__ import annotations
 

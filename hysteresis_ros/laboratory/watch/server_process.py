@@ -102,7 +102,9 @@ def _free_port(options: PageOptions, number: int) -> int:
         return 0
     port = (options.port or PORT) + number
     if port > 65535:
-        raise HysteresisError(f"--port {options.port}: there is no port {port} for the page of axis {number + 1}")
+        raise HysteresisError(
+            f"--port {options.port}: there is no port {port} for the page of axis {number + 1}; give a lower port"
+        )
     family = socket.AF_INET6 if ":" in options.bind else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
