@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.papers import EXPERIMENTS
 
 #: Longest time without output of a command that takes minutes [s].
 SILENCE = 10.0
-#: Exit code when some runs of a sweep had invalid parameters.
+#: Exit code if some runs of a sweep had invalid parameters.
 REFUSED = 2
 #: Interval at which a request to exit is checked [s].
 LOOK = 0.05
@@ -153,7 +153,7 @@ def _pages_and_files(outputs, best: bool):
     multiple=True,
     required=True,
     type=click.Path(path_type=pathlib.Path),
-    help="File for the results, F.parquet or F.npz; also a page F.html with pictures.",
+    help="File for the results, F.parquet or F.npz; also a page F.html with plots.",
 )
 @click.option("--json", "json_path", metavar="FILE", help="Summary as JSON; '-' prints it instead of the text.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; default: number of processors.")
@@ -234,9 +234,11 @@ def _results_and_page(outputs):
 @click.command()
 @click.argument("manifest", required=False, type=click.Path(path_type=pathlib.Path))
 @click.option(
-    "--data", type=click.Path(path_type=pathlib.Path), help="Folder of the recordings' files; default: the manifest's."
+    "--data", type=click.Path(path_type=pathlib.Path), help="Folder of the recordings; default: that of the manifest."
 )
-@click.option("--synthetic", type=click.IntRange(0), help="Number of synthetic plants; 4 if no recording is found.")
+@click.option(
+    "--synthetic", type=click.IntRange(0), help="Number of synthetic plants; default: 0, or 4 if no recording is found."
+)
 @click.option("--noise", type=Quantity("m"), default="5nm", show_default=True, help="Noise of the synthetic sensors.")
 @click.option("--model", "specs", multiple=True, metavar="NAME|FILE.py:CLASS", help="Model; repeatable.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this recording; repeatable.")
@@ -250,7 +252,7 @@ def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_pa
 
     MANIFEST lists the recordings, with checksums and the parts for fit and test; without it the list of public
     recordings that comes with the package is used. Nothing is downloaded: --list shows where to get the files, --data
-    names their folder. Synthetic plants are made on the spot and need no files. Your own model is a class with
+    names their folder. Synthetic plants need no files. Your own model is a class with
     fit(data) and predict(input).
     """
     from hysteresis_ros.errors import HysteresisError, RecordingError
@@ -470,7 +472,7 @@ def faults(config, *, ways, only, rounds, seed, rate, listed, output, figures, a
 def watch(config, namespace, port, bind, folder):
     """Start the axes of CONFIG and serve a page for each; without CONFIG show the axis that already runs.
 
-    When an axis ends, its page waits for it to return. Exit code: 0 after Ctrl-C, 1 when a node dies, 2 for wrong
+    If an axis exits, its page waits until the axis runs again. Exit code: 0 after Ctrl-C, 1 if a node dies, 2 for wrong
     input.
     """
     requested = []

@@ -45,7 +45,7 @@ from hysteresis_ros.models.linear_algebra import product
 
 #: Kinds of hysteresis, in the order of their numbers in the kernel.
 HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
-#: Number of play operators; time constants of the relaxations of the creep [s]; number of modes.
+#: Number of play operators; time constants of the creep relaxations [s]; number of modes.
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
@@ -104,7 +104,7 @@ class ForeignParameters(Parameters):
     creep: float = parameter(
         0.03, description="creep from 0.1 to 10 s after a step, as a fraction of the step", low=0.0
     )
-    exponent: float = parameter(0.2, description="exponent of the creep over time", low=0.01, high=1.0)
+    exponent: float = parameter(0.2, description="exponent of time in the creep law", low=0.01, high=1.0)
     lag: float = parameter(1e-3, description="time constant of the lag; 0: none", unit="s", low=0.0)
     lag_before: bool = parameter(True, description="whether the lag is before the hysteresis")
     delay: float = parameter(0.0, description="delay of the voltage", unit="s", low=0.0)

@@ -151,7 +151,7 @@ def run(
     workers: int | None = None,
     progress: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Return a row for every model on every recording, sorted by recording, then by error, rows with a problem last."""
+    """Return the rows of all models on all recordings, sorted by recording and error; rows with a problem are last."""
     for spec in specs:
         load_model(spec)
     pairs = [(task, spec) for task in tasks for spec in specs]

@@ -152,7 +152,9 @@ def _entry(where: str, name: str, given) -> Entry:
         raise ConfigurationError(f"{where}: skip must be 0 or more, and offset kept or free")
     for key in ("input", "output"):
         if ":" not in str(values[key]):
-            raise ConfigurationError(f"{where}: {key} = {values[key]!r}: {RECORDING[key]}, such as control_V:V")
+            raise ConfigurationError(
+                f"{where}: {key} = {values[key]!r}: must be the {RECORDING[key]}, such as control_V:V"
+            )
     train, test = (_part(f"{where}: {key}", given[key]) for key in ("train", "test"))
     return _apart(where, Entry(name, train, test, **values))
 
@@ -210,7 +212,7 @@ def read_task(entry: Entry, folder: pathlib.Path) -> Task:
             raise RecordingError(f"{path}: {error.strerror}; get it from {entry.source}") from None
         if found != part.sha256:
             raise RecordingError(
-                f"{path}: its SHA-256 is {found}, the manifest has {part.sha256}: this is another file, or it has "
+                f"{path}: its SHA-256 is {found}, but the manifest has {part.sha256}: this is another file, or it has "
                 f"changed; get it from {entry.source}, or correct the manifest"
             )
     columns = Columns(

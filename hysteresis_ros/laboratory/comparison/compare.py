@@ -130,11 +130,10 @@ def table_around(
     low, high = middle - 0.5 * trial.stroke, middle + 0.5 * trial.stroke
     assumptions = (
         f"{conditions.draws} plants close to the configured plant, seeds {conditions.seed} … "
-        f"{conditions.seed + conditions.draws - 1}: gain, width of the hysteresis loop and each of its "
-        f"weights, times of the dynamics and rate of the creep deviate by up to ±{per_cent:g} %, uniform and "
-        "independent",
+        f"{conditions.seed + conditions.draws - 1}: gain, loop width, each weight of the hysteresis, "
+        f"times of the dynamics and creep rate deviate by up to ±{per_cent:g} %, uniformly and independently",
         f"{_seen(conditions)}, limits {limits.minimum:g} … {limits.maximum:g} V",
-        "every candidate was designed from the models in the configuration and the size of noise and mismatch",
+        "every candidate was designed from the models in the configuration and from the sizes of noise and mismatch",
     )
     return Table(
         "Plants close to the configured plant",

@@ -106,7 +106,7 @@ SHOWN = "feedforward"
 
 
 def blocks(table: Table) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return the blocks of columns after rank, controller and compensator: name, then heading and unit of each."""
+    """Return the blocks of columns after controller and compensator: block name, headings and units of its columns."""
     found = [(task, [(heading, unit) for heading, unit, _ in ERRORS]) for task in table.tasks]
     return [("", [("delay", "ms")]), *found, ("largest of both", [(heading, unit) for heading, unit, _ in COSTS])]
 

@@ -31,15 +31,15 @@ from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Time before the first evaluated sample, in which creep and start-up effects decay [s]; least number of periods.
+#: Minimum time [s] and number of periods before the first evaluated sample, in which creep and start-up effects decay.
 SETTLING = 2.0
 SETTLING_PERIODS = 2
-#: Least number of periods before the first evaluated sample of a controller with learning.
+#: Minimum number of periods before the first evaluated sample of a controller with learning.
 LEARNING_PERIODS = 10
-#: Evaluated time [s], and least number of evaluated periods.
+#: Evaluated time [s], and minimum number of evaluated periods.
 JUDGED = 4.0
 JUDGED_PERIODS = 4
-#: Longest constant delay of the displacement that does not count as an error, as a fraction of the fastest period.
+#: Longest constant delay of the displacement that is not counted as an error, as a fraction of the shortest period.
 ALLOWED_DELAY = 0.1
 
 

@@ -123,7 +123,7 @@ def interval(good: int, runs: int, confidence: float = 0.95) -> tuple[float, flo
 
 
 def yield_of(met: np.ndarray, confidence: float = 0.95) -> Yield:
-    """Return the yield, given for each run whether it meets all bounds."""
+    """Return the yield from one flag per run: whether it meets all bounds."""
     good = int(np.count_nonzero(met))
     return Yield(good, len(met), *interval(good, len(met), confidence))
 

@@ -139,7 +139,7 @@ SERVICES = ("home", "release", "learn", "freeze", "forget")
 
 #: Longest text of a marker, largest number of parameters in one request, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
-#: Ranges of the window of time [s] and of the number of screen columns.
+#: Allowed ranges of the time window [s] and of the number of screen columns.
 WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)
 
 

@@ -70,7 +70,7 @@ class Collector:
         return self._places[key]
 
     def take(self) -> Block:
-        """Return the complete samples, and the older samples that will stay incomplete."""
+        """Return the complete samples, and older samples that will remain incomplete."""
         whole = sum(self._bits.values())
         newest = max(self._pending, default=0)
         ready = [stamp for stamp, (_, seen) in self._pending.items() if seen == whole or stamp < newest - PART_PATIENCE]

@@ -60,9 +60,9 @@ STACK = (
 )
 AMPLIFIED = "amplifier gain 20, limits −30 … 120 V"
 SETTLED = "settling: within 2 % of the step around the final value; the longest settling time of all steps"
-FULL_STROKE = "triangle from 0 to the displacement of 120 V on the virgin curve (fig. 13 gives no number in the text)"
+FULL_STROKE = "triangle from 0 to the displacement at 120 V on the virgin curve (fig. 13 gives no number in the text)"
 REACHED = (
-    "triangle to 95 % of the displacement of 120 V, which a compensator with 5 % lower coefficients can just reach"
+    "triangle to 95 % of the displacement at 120 V, which a compensator with 5 % lower coefficients can just reach"
 )
 RATE = "R g = 1, and 1.12 from the printed R = 0.5475 with 2.05 µm/V"
 CLEAN = "“completely removed” taken as less than 0.01 µm"
