@@ -13,7 +13,7 @@ Start with :mod:`.block` (kernels and blocks), :mod:`.declaration` and one law i
 :mod:`.actuator`, which combines hysteresis, :mod:`.creep` and :mod:`.linear` dynamics, and :mod:`.compensator`, which
 inverts hysteresis and creep. :mod:`.friction`, :mod:`.clamp` and :mod:`.inchworm` model the inchworm motor.
 
-The package has a class for each hysteresis model; the constructor of the class takes the parameters as keywords:
+The package has a class for each hysteresis model; its constructor takes the parameters as keywords:
 ``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists the classes.
 """
 
@@ -29,7 +29,7 @@ def __getattr__(name: str) -> type[Hysteresis]:
     """Return the class of a hysteresis model; the class is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up the names of submodules here, while it imports them
+    # when Python imports a submodule, it also looks up the submodule's name here
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.models.classes import CLASSES

@@ -182,18 +182,18 @@ class Actuator(Chain):
 
     @property
     def saturated(self) -> bool:
-        """Whether range or slew rate limited the last voltage."""
+        """Whether the range or the slew rate limited the last voltage."""
         return self.limits.saturated
 
     def reset(self) -> None:
-        """Return to rest; the hysteresis is in its initial state, and the noise starts again."""
+        """Return to rest, with the hysteresis in its initial state; the noise sequence starts again."""
         for block in (self.limits, self.hysteresis, self.creep, self.dynamics, self.sensor):
             block.reset()
         self.xs.force[:] = force_state(self.parameters.force_sensor)
         self._settle()
 
     def retune(self, parameters: ActuatorParameters) -> None:
-        """Change parameters of the same structure while running; the hysteresis continues from the present point.
+        """Change to parameters of the same structure while running; the hysteresis continues from the present point.
 
         Raises
         ------

@@ -24,7 +24,7 @@ P is the sum of three covariances: of a factor common to all weights, of a facto
 loops, and of an individual factor for each weight. The bounds keep the weights above zero, so that an inverse exists.
 One sweep of coordinate descent per sample tracks the minimum. No factor leaves its bounds or changes faster than
 ``rate``. The model's offset compensates the change of the weights, so that the model's present displacement does not
-change and the voltage does not jump. Afterwards the offset follows slow changes.
+change and the voltage does not jump. Afterwards the offset follows slow changes of the measurement.
 
 Dead zones after the sum make the displacement nonlinear in f. Their thresholds scale with the gain g = Σ f_i w_i / Σ
 w_i, so the displacement is homogeneous in f. By Euler's theorem, the displacement is the sum over i of f_i times its
@@ -65,8 +65,8 @@ LARGEST_STEP = 7  # largest change of a factor per sample
 LEAST_POWER = 8  # [m²]
 STROKE = 9  # [m]
 SETTLING_SAMPLES = 10
-OUTPUT_PLACE = 11  # indices of the last output in the model's state and of the offset in its parameters; or NOWHERE
-OFFSET_PLACE = 12
+OUTPUT_PLACE = 11  # index of the last output in the model's state, or NOWHERE
+OFFSET_PLACE = 12  # index of the offset in the model's parameters, or NOWHERE
 OFFSET = 13  # identified [m]
 OFFSET_SHARE = 14  # fraction of the offset's error that is corrected per sample
 OWN_PARAMETERS = 15
@@ -75,13 +75,13 @@ OWN_PARAMETERS = 15
 STATE = 0  # one of the states below
 TOLD = 1  # 1 while a service has frozen the adaptation
 BEGUN = 2  # 1 after the first measurement
-WAIT = 3  # number of samples before learning begins
+WAIT = 3  # number of samples until learning begins
 POWER = 4  # mean square of the high-pass filtered modelled displacement [m²]
 ERROR_POWER = 5  # mean square of the error, measurement minus model [m²]
 LAST = 6  # last measurement [m]
 LAST_MODELLED = 7  # [m]
-UNUSABLE = 8  # number of consecutive implausible measurements
-GAIN = 9  # gain of all weights together, relative to the identified weights
+UNUSABLE = 8  # number of consecutive missing or implausible measurements
+GAIN = 9  # sum of the weights, relative to the sum of the identified weights
 MOVED = 10  # change of the offset from its identified value [m]
 ZEROED = 11  # 1 once the origin of the displacement is known
 ZERO = 12  # measurement at zero displacement [m]
@@ -104,7 +104,7 @@ class AdaptationSettings(NamedTuple):
     """Parameter arrays of an adaptation."""
 
     own: np.ndarray
-    #: Indices of the weights in p, of their play outputs in x, and of thresholds and slopes of the dead zones in p.
+    #: Indices of the weights in p, of their signals in x, and of thresholds and slopes of the dead zones in p.
     places: np.ndarray
     nominal: np.ndarray  # identified weights, then thresholds
     prior: np.ndarray  # R, row by row [m²]
@@ -116,7 +116,7 @@ class AdaptationStates(NamedTuple):
 
     own: np.ndarray
     factors: np.ndarray
-    filters: np.ndarray  # creep and dynamics of each term, then of the offset
+    filters: np.ndarray  # states of creep and dynamics for each term, then for the offset
     slow: np.ndarray  # slow components of each term, of the offset and of the measurement [m]
     terms: np.ndarray  # high-pass filtered terms [m]
     squares: np.ndarray  # running mean of φ φ', row by row [m²]
@@ -125,7 +125,7 @@ class AdaptationStates(NamedTuple):
 
 @kernel
 def bent(own, places, p, total, slope):
-    """Return the output of the dead zones [m] for the sum ``total`` of the terms, or the slope if ``slope`` != 0."""
+    """Return the output of the dead zones [m] for the sum ``total`` of the terms, or their slope if ``slope`` != 0."""
     terms, zones = int(own[TERMS]), int(own[ZONES])
     y, steepness = total, 1.0
     for j in range(zones):
@@ -175,7 +175,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
     weights = 0.0
     for i in range(terms):
         weights += p_h[int(places[i])]
-    # the thresholds scale with the gain, so they also contribute to the displacement
+    # the thresholds scale with the gain, so they contribute to every derivative
     shared = (bent(own, places, p_h, total, 0.0) - slope * total) / weights
     for i in range(terms):
         term = settings.nominal[i] * (slope * signal(places, terms, x_h, voltage, i) + shared)
@@ -190,7 +190,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
 
 @called
 def arrive(settings, states):
-    """Return the sum of the terms at the sensor [m]: high-pass filtered, and unfiltered."""
+    """Return the sum of the terms at the sensor [m], high-pass filtered and unfiltered."""
     own, slow, terms, factors = settings.own, states.slow, states.terms, states.factors
     count, creeping, length = int(own[TERMS]), int(own[CREEP_STATES]), int(own[FILTER_STATES])
     share, begun = own[SLOW_SHARE], states.own[BEGUN] != 0.0
@@ -214,10 +214,10 @@ def arrive(settings, states):
 
 @called
 def believe(settings, states, measured, modelled, whole):
-    """Store the displacement [m] that is used as the measurement; return whether it really was measured.
+    """Store the displacement [m] that is used as the measurement; return whether the measurement is plausible.
 
-    A missing or implausible measurement is replaced by the model's displacement. After too many consecutive implausible
-    measurements, the model is assumed to be wrong, and the measurement is used.
+    A missing or implausible measurement is replaced: the last displacement plus the model's motion since then is used.
+    After too many such measurements in a row, the model is assumed to be wrong, and a measurement is used again.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     level = int(own_p[TERMS]) + 1
@@ -237,7 +237,7 @@ def believe(settings, states, measured, modelled, whole):
 
 @called
 def move(settings, states, fast):
-    """Update the running means with the measurement [m], and move the factors towards the minimum."""
+    """Update the running means with the filtered measurement ``fast`` [m]; move the factors towards the minimum."""
     own, terms, factors = settings.own, states.terms, states.factors
     count, kept = int(own[TERMS]), own[KEPT_SHARE]
     for i in range(count):
@@ -346,9 +346,9 @@ def adapt(settings, states, p_h, x_h, voltage, measured, usable):
 MOST_WEIGHTS = 32
 #: Standard deviations of the prior: of the common gain, of the loop width, and of each individual weight.
 COMMON, OPENING, EACH = 0.3, 0.3, 1.0
-#: ε: residual of the model, as a fraction of the stroke.
+#: ε: assumed residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
-#: Waiting time until learning continues after the axis has stopped, in time constants of the high-pass filter.
+#: Waiting time before learning continues after a stop of the axis, in time constants of the high-pass filter.
 SETTLING = 5.0
 #: Time constant with which the offset follows slow changes, in time constants of the high-pass filter.
 OFFSET_TIME = 10.0
@@ -370,10 +370,10 @@ class AdaptationParameters(Parameters):
         description="recursive: least squares on the weights of the model while the axis runs",
     )
     memory: float = parameter(
-        30.0, unit="s", low=1e-3, high=1e7, description="running time after which a measurement is mostly forgotten"
+        30.0, unit="s", low=1e-3, high=1e7, description="time constant of forgetting; it counts only while learning"
     )
     range: float = parameter(
-        2.0, low=1.0, high=10.0, description="largest factor on an identified weight; the smallest is its inverse"
+        2.0, low=1.0, high=10.0, description="largest factor on an identified weight; the smallest is 1/range"
     )
     rate: float = parameter(0.02, unit="1/s", low=1e-9, high=10.0, description="largest rate of change of a factor")
     excitation: float = parameter(
@@ -383,13 +383,17 @@ class AdaptationParameters(Parameters):
         description="RMS of the motion, as a fraction of the stroke, below which the adaptation pauses",
     )
     slow: float = parameter(
-        0.5, unit="s", low=1e-4, high=1e5, description="time constant above which changes count as offset and drift"
+        0.5,
+        unit="s",
+        low=1e-4,
+        high=1e5,
+        description="time constant of the high-pass filter: slower changes are offset or drift",
     )
     offset: str = parameter(
         "kept",
         choices=("kept", "measured"),
         read_only=True,
-        description="origin of the displacement: the position at which learning began, or zero",
+        description="origin of the displacement; kept: the position at which learning began; measured: `zero`",
     )
     zero: float = parameter(
         0.0, unit="m", low=-1.0, high=1.0, read_only=True, description="measurement at zero displacement"
@@ -418,7 +422,9 @@ class AdaptationParameters(Parameters):
             return
         name, model = hysteresis.type, hysteresis.model
         if model.weighted is None:
-            remedy = f"{name} is not linear in its weights; use none, or one of the models {', '.join(adaptable())}"
+            remedy = (
+                f"{name} is not linear in its weights; use type none, or one of the models {', '.join(adaptable())}"
+            )
             yield Problem("adaptation.type", self.type, remedy)
             return
         if inverse not in ("exact", "general", "picard_steps"):
@@ -552,7 +558,7 @@ class Adaptation(Chain):
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
         self._rest()
-        # the history of the axis' voltage is not known
+        # the voltage before the reset is not known, so learning waits until its effect has decayed
         self.xs.own[WAIT] = self.settings.own[SETTLING_SAMPLES]
         self._count_from_zero()
 

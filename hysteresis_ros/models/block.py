@@ -15,10 +15,10 @@ kernel(p, x, r, y)`` with reference r and measurement y. Kernels allocate nothin
 (optional extra ``fast``) this source is compiled; without Numba it runs as plain Python, and the results agree to 1e-12
 of full scale.
 
-A *composite* connects kernels that it receives as arguments (plant, compensator, closed loop). Offline loops run it
-compiled. A node calls it once per sample and runs its Python form with compiled kernels, because passing functions to
-compiled code takes 25 µs per call, but calling a compiled kernel takes 0.2 µs. Both forms do the same IEEE arithmetic
-in the same order, so their results are equal bit for bit.
+A *composite* connects kernels that it receives as arguments (plant, compensator, closed loop). Offline loops run its
+compiled form. A node runs its Python form with compiled kernels once per sample, because passing functions to compiled
+code takes 25 µs per call, and calling a compiled kernel only 0.2 µs. Both forms do the same IEEE arithmetic in the same
+order, so their results are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ _EACH: Any = _WITHIN
 
 @contextlib.contextmanager
 def _cache_directory():
-    """Let Numba use the cache of these sources while a kernel is declared.
+    """Make Numba use the cache folder of these sources while a kernel is declared.
 
     Numba detects changes of a function's own file, but not of the functions that it calls. A cache next to the sources
     would therefore return stale code after an update. A folder named after a digest of all sources prevents this.
@@ -132,7 +132,7 @@ def cache_folder() -> pathlib.Path:
         for path in sorted((package / folder).glob("*.py" if folder == "." else "**/*.py")):
             digest.update(path.read_bytes())
     chosen = root / digest.hexdigest()[:16]
-    # the clean-up is optional, so a failure has no effect
+    # the clean-up is optional, so errors are ignored
     with contextlib.suppress(OSError):
         oldest = time.time() - CACHE_DAYS * 86400
         for other in root.iterdir():
@@ -156,7 +156,7 @@ def called(function):
 
 
 def _in_two_forms(function, **options):
-    """Return the form of a kernel that Python calls or passes as an argument; a kernel that calls it uses another form.
+    """Return the form of a kernel that Python calls or passes as an argument; other kernels call another form.
 
     Each form is compiled on first use. Therefore a kernel that only kernels call gets no entry points and no cache
     file.
@@ -172,7 +172,7 @@ def _in_two_forms(function, **options):
 if COMPILED:
 
     class _Within(numba.types.Dispatcher):
-        """Type of a kernel that another kernel calls by name; compiled only once for all literal numbers in calls."""
+        """Type of a kernel that another kernel calls by name; calls with different literal numbers share one form."""
 
         def get_call_type(self, context, args, kws):
             unliteral = numba.types.unliteral
@@ -191,7 +191,7 @@ if COMPILED:
 def nested(function):
     """Mark a composite that other composites call: it is compiled as part of them, and Python calls it as plain Python.
 
-    If Python calls it, its kernels are passed as compiled functions (0.2-0.3 µs per call).
+    If Python calls it, its kernels are passed as compiled functions (0.2-0.3 µs per call of a kernel).
     """
     if COMPILED:
         register_jitable(forceinline=True, **_WITHIN)(function)
@@ -231,7 +231,7 @@ def each(function):
 
     The resulting function takes a tuple of laws, a tuple of parts, and a table with one row for each axis, in the same
     order. The compiled form divides the tuples into halves, so the axes may have parts of different classes. Axes, or
-    halves, with the same classes use the same machine code.
+    halves, with the same classes share machine code.
     """
 
     def over(laws, parts, rows):
@@ -351,7 +351,7 @@ if COMPILED:
 
 
 def displaced(arrays, distance):
-    """Return named tuples with arrays that are ``distance`` numbers after the given arrays in the same block of memory.
+    """Return named tuples with arrays that lie ``distance`` numbers after the given arrays in the same block of memory.
 
     All arrays are slices of one float64 array. Compiled code only moves pointers, which takes hardly any time.
     """
@@ -390,7 +390,7 @@ def interpreted(function):
 
 
 def kernels_of(*names: str):
-    """Mark a named tuple of kernels, given in the words of :func:`signature`, as one argument of compiled code.
+    """Mark a named tuple of kernels as one argument of compiled code; ``names`` are their :func:`signature` words.
 
     The kernels in the tuple are first-class functions, so the same machine code works with any kernels.
     """
@@ -407,7 +407,7 @@ def kernels_of(*names: str):
 def specialised(function, *arguments):
     """Return the machine code of a composite for arguments of these types; without Numba, the function itself.
 
-    Its calls release Python's lock, so a loop with a driver written in Python need not wait for them.
+    The machine code releases Python's lock while it runs, so a loop with a driver written in Python need not wait.
 
     Parameters
     ----------
@@ -415,7 +415,7 @@ def specialised(function, *arguments):
         Plain function; it is compiled once for each combination of types and cached on disk.
     *arguments
         Arguments with which it will be called: arrays, named tuples of arrays, named tuples marked by
-        :func:`kernels_of`, and functions that this function has returned.
+        :func:`kernels_of`, and results of this function.
     """
     if not COMPILED:
         return function
@@ -454,14 +454,14 @@ def specialised_for(samples: int, function, *arguments):
 
 
 def _mark_of(function, arguments) -> pathlib.Path:
-    """Return a file in the cache that exists if the machine code for these arguments exists."""
+    """Return the path of a file that is in the cache if the cache has machine code for these arguments."""
     kinds = " ".join(str(_type_of(argument)) for argument in arguments)
     name = f"{function.__qualname__} {kinds} {numba.__version__} {sys.version} {platform.machine()}"
     return pathlib.Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / hashlib.sha1(name.encode()).hexdigest()
 
 
 def direct(function):
-    """Return a form of a result of :func:`specialised` that does not look up the types of its arguments in each call.
+    """Return a result of :func:`specialised` in a form that does not look up the types of its arguments in each call.
 
     The look-up takes a millisecond for all arrays of an axis. The form checks neither whether the arguments have the
     types for which it was compiled, nor whether arrays are contiguous.
@@ -486,7 +486,7 @@ def _structure(argument):
 
 
 def signature(*names):
-    """Return the Numba signature for words.
+    """Return the Numba signature for words: the type of the result, then the types of the arguments.
 
     The words are ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``. A
     class of named tuples whose fields are all arrays may replace a word.
@@ -630,7 +630,7 @@ class Block:
         self.x[:] = value
 
     def retune(self, parameters) -> None:
-        """Change parameters of the same structure while running, without a jump in the output.
+        """Change to parameters of the same structure while running, without a jump in the output.
 
         Raises
         ------

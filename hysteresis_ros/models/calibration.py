@@ -47,7 +47,11 @@ class LineParameters(Parameters):
     """Parameters that sensor and amplifier have in common."""
 
     sign: int = parameter(
-        1, low=-1, high=1, read_only=True, description="1, or -1 if the displacement falls with a rising value"
+        1,
+        low=-1,
+        high=1,
+        read_only=True,
+        description="-1 if displacement or voltage falls when the value rises; else 1",
     )
     polynomial: tuple[float, ...] = parameter(
         (),
@@ -123,7 +127,7 @@ class SensorCalibrationParameters(LineParameters):
             yield Problem(
                 "maximum",
                 self.maximum,
-                "a polynomial needs the range of readings in which it is valid; give minimum and maximum",
+                "this polynomial needs the range of readings in which it is valid; give minimum and maximum",
             )
         else:
             yield from rising_problems(self.polynomial, self.minimum, self.maximum, self.unit)
@@ -189,7 +193,7 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
 
 
 def _turns(slope: Any, low: float, high: float) -> list[float]:
-    """Return the values between two ends at which the polynomial ``slope`` has an extremum."""
+    """Return the values between ``low`` and ``high`` at which the polynomial ``slope`` has an extremum."""
     if not low < high:
         return []
     # for a variable scaled to -1 … 1, the coefficients are comparable, so negligible ones can be dropped
@@ -268,7 +272,7 @@ class SensorCalibration(Block):
         return x
 
     def reading(self, displacement: float) -> float:
-        """Return the reading of an absolute sensor at a displacement [m], also outside its valid readings.
+        """Return the reading of an absolute sensor at a displacement [m], also outside the range of valid readings.
 
         Parameters
         ----------
@@ -287,7 +291,7 @@ class SensorCalibration(Block):
         return float(real[np.argmin(beyond)])
 
     def begin_homing(self) -> None:
-        """Home a relative sensor with its next readings; an absolute sensor does not change."""
+        """Home a relative sensor with its next readings; for an absolute sensor, nothing is done."""
         self.x[HOMING], self.x[SUM] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0, 0.0
 
     @property

@@ -52,7 +52,7 @@ class ClampArrays(NamedTuple):
     contact: np.ndarray
 
 
-#: Number of samples of 1 ms after which a hysteresis model with internal dynamics counts as being at rest.
+#: Number of samples of 1 ms after which a hysteresis model with internal dynamics is taken to be at rest.
 RESTING_SAMPLES = 20000
 
 
@@ -82,7 +82,7 @@ class LagParameters(Parameters):
     second_order: SecondOrderParameters = group(SecondOrderParameters, variant_of="type")
 
     def discrete(self, sample_time: float) -> LinearParameters:
-        """Return the lag in discrete time, with unit DC gain and the input held over ``sample_time`` [s]."""
+        """Return the lag in discrete time, with unit DC gain, for an input that is held over ``sample_time`` [s]."""
         if self.type == "first_order":
             decay = elementary.exp(-sample_time / self.first_order.time_constant)
             return LinearParameters(A=(decay,), B=(1.0 - decay,), C=(1.0,))
@@ -103,7 +103,7 @@ class LagParameters(Parameters):
     def settling_time(self, tolerance: float = 0.02) -> float:
         """Return the time [s] from a step until the lag stays within ``tolerance``, a fraction of the step.
 
-        The time is exact without overshoot; for a damping ratio below 1, it is the settling time of the envelope.
+        Without overshoot the time is exact; for a damping ratio below 1, it is the settling time of the envelope.
         """
         if self.type == "first_order":
             return -self.first_order.time_constant * elementary.log(tolerance)
@@ -156,11 +156,11 @@ class ClampParameters(Parameters):
         high=1e-6,
     )
     wear: float = parameter(1.0, description="factor on the normal force; 0.8: 20 % weaker", low=0.0, high=1.0)
-    initial_voltage: float = parameter(0.0, description="voltage at which the clamp rests at the start", unit="V")
+    initial_voltage: float = parameter(0.0, description="voltage at the start and after a reset", unit="V")
     sensor: SensorParameters = group(SensorParameters)
 
     def check(self):
-        """Yield a Problem if kinetic friction exceeds static friction, or if the clamp never grips or never opens."""
+        """Yield a Problem for wrong friction, kick or initial voltage, or if the clamp never grips or never opens."""
         if self.kinetic_friction > self.static_friction:
             remedy = f"must not be above static_friction = {self.static_friction:g}"
             yield Problem("kinetic_friction", self.kinetic_friction, remedy)
@@ -176,13 +176,13 @@ class ClampParameters(Parameters):
             yield Problem("gap", self.gap, remedy)
         elif residual >= self.gap:
             remedy = (
-                f"the clamp never opens: after {high:g} V it keeps, at limits.minimum = {low:g} V, a displacement of "
+                f"the clamp never opens: after {high:g} V, at limits.minimum = {low:g} V, its displacement is still "
                 f"{residual:.4g} m; widen the gap"
             )
             yield Problem("gap", self.gap, remedy)
 
     def _displacements(self, voltages) -> list[float]:
-        """Return the steady-state displacement [m] at each of the voltages [V], which are applied in this order."""
+        """Return the steady-state displacements [m] at the voltages [V], which are applied in the given order."""
         block = hysteresis_block(self.hysteresis, 1e-3)
         low, high = self.limits.minimum, self.limits.maximum
         limited = [min(max(voltage, low), high) for voltage in voltages]
@@ -206,7 +206,7 @@ class ClampParameters(Parameters):
         return self.static_friction * self.normal_force(voltage)
 
     def settling_time(self, tolerance: float = 0.02) -> float:
-        """Return the time [s] from a step of the voltage until the displacement stays within ``tolerance`` of the step.
+        """Return the time [s] from a voltage step until the displacement stays within the fraction ``tolerance`` of it.
 
         If the slew rate is limited, the time for the whole voltage range at this rate is added, which gives an upper
         bound.
@@ -296,7 +296,7 @@ class Clamp(Chain):
         return float(self.limits.x[OUTPUT])
 
     def reset(self) -> None:
-        """Return to rest at the initial voltage; the hysteresis is in its initial state, and the noise starts again."""
+        """Return to rest at the initial voltage, in the initial hysteresis state; the noise sequence starts again."""
         for block in (self.limits, self.hysteresis, self.lag, self.sensor):
             block.reset()
         self._settle()
@@ -309,7 +309,7 @@ class Clamp(Chain):
             raise ParameterError([Problem("lag.type", parameters.lag.type, remedy)])
 
     def retune(self, parameters: ClampParameters) -> None:
-        """Change parameters of the same structure while running; the displacement does not jump.
+        """Change to parameters of the same structure while running; the displacement does not jump.
 
         Raises
         ------

@@ -35,7 +35,7 @@ class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
 
     @classmethod
     def example(cls, sample_time: float = 1e-3) -> Hysteresis:
-        """Return the model with a working set of parameters for 0 … 100 V.
+        """Return the model with example parameters for 0 … 100 V.
 
         Parameters
         ----------

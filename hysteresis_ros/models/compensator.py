@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis compensator, which computes voltage and achieved command from the commanded displacement; its range."""
+"""Hysteresis compensator: voltage and achieved command for a commanded displacement, and the range of commands."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class CompensatorParameters(Parameters):
     )
     handover_time: float = parameter(
         0.1,
-        description="time constant with which the old voltage fades out after a change of parameters",
+        description="time constant of the voltage's transition to its new value after a change of parameters or a hold",
         unit="s",
         low=0.0,
     )
@@ -148,11 +148,11 @@ def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
 
 
 def inverse_step(inverse):
-    """Return the form of an inverse that Python calls once per sample; it takes the arguments of every inverse.
+    """Return the form of an inverse that Python calls once per sample; its arguments are those of every inverse.
 
     A kernel passed from Python would become part of the type of the called function. Numba cannot cache such a
-    function, so every process would compile it again. Therefore an inverse that evaluates the kernel gets it as a
-    first-class function, and a closed form gets a number in its place.
+    function, so every process would compile it again. Therefore an inverse that evaluates the model's kernel gets it as
+    a first-class function; a closed form gets a number instead.
     """
     if tries_model(inverse):
         return compiled(inverse)
@@ -264,7 +264,7 @@ class Compensator(Chain):
 
     @property
     def saturated(self) -> bool:
-        """Whether range or slew rate limited the last voltage."""
+        """Whether the range or the slew rate limited the last voltage."""
         return self.limits.saturated
 
     def reset(self) -> None:
@@ -338,7 +338,7 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 
 
 def returned_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] that the compensator reaches from the opposite end.
+    """Return the smallest and largest displacement [m], each reached from the opposite end of the voltage range.
 
     An actuator with hysteresis does not return to its zero, so the first motion from zero has a larger range. Units:
     ``sample_time`` [s].

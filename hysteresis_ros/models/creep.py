@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: slow drift after a step, modelled by first-order operators in series with the hysteresis; and its inverse.
+"""Creep: slow drift after a step, modelled by first-order operators in series with the hysteresis; inverse creep.
 
 ``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets (γ =
 0.01 … 0.02 per decade, t_0 = 0.1 s) is realised by operators with equal weights and with time constants in a geometric
@@ -78,7 +78,7 @@ class CreepOperatorsParameters(Parameters):
     time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
 
     def check(self):
-        """Yield a Problem if weights and time constants differ in number."""
+        """Yield a Problem if the numbers of weights and time constants differ."""
         if len(self.weights) != len(self.time_constants):
             yield Problem(
                 "weights", self.weights, f"must be as many numbers as time_constants ({len(self.time_constants)})"
@@ -93,9 +93,7 @@ class CreepOperatorsParameters(Parameters):
 class CreepParameters(Parameters):
     """Type of creep and its parameters."""
 
-    type: str = parameter(
-        "none", choices=("none", "logarithmic", "operators"), description="law of the creep", read_only=True
-    )
+    type: str = parameter("none", choices=("none", "logarithmic", "operators"), description="creep law", read_only=True)
     logarithmic: LogarithmicCreepParameters = group(LogarithmicCreepParameters, variant_of="type")
     operators: CreepOperatorsParameters = group(CreepOperatorsParameters, variant_of="type")
 
@@ -115,7 +113,7 @@ class CreepParameters(Parameters):
         feedthrough, weights, _ = self.resolved()
         if feedthrough <= 0.0:
             remedy = (
-                f"the immediate part of a unit step is {feedthrough:.3g}, must be > 0; lower the rate or the time range"
+                f"the immediate part of a unit step is {feedthrough:.3g}; it must be > 0: lower rate or longest_time"
             )
             yield Problem("logarithmic.rate", self.logarithmic.rate, remedy)
         elif feedthrough + min(np.cumsum(weights), default=0.0) <= 0.0:

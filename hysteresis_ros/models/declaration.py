@@ -51,7 +51,7 @@ class LinearTerms:
     opening : tuple of bool
         Whether each weight widens the loops, because its signal lags behind the voltage.
     zones : tuple of (int, int)
-        Indices in p of threshold [m] and slope of each dead zone after the sum; a gain also multiplies the thresholds.
+        Indices in p of threshold [m] and slope of each dead zone after the sum; the thresholds scale with the gain.
     output : int
         Index in x of the last output [m]; ``NOWHERE``: the output is not stored.
     offset : int
@@ -70,7 +70,7 @@ class HysteresisBlock(Block):
     """Base class of the blocks of all hysteresis models, from voltage [V] to displacement [m].
 
     Subclasses set ``kernel`` and, for a closed form, ``inverse``; they implement ``pack``, ``initial_state``, ``gain``
-    and, with memory, ``rebase``.
+    and, if the model has memory, ``rebase``.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class HysteresisBlock(Block):
         raise TypeError(f"{type(self).__name__} does not define gain, its nominal gain")
 
     def rebase(self) -> None:
-        """Continue from the present point after a change of parameters; by default nothing is done."""
+        """Continue from the present point after a change of parameters; the default does nothing."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of a plant from its model, by factors near 1.
+    """Deviation of a plant from its model, as factors near 1.
 
     Parameters
     ----------
@@ -206,13 +206,13 @@ class HysteresisModel:
     data : str
         Data that an identification of the model needs.
     parameters : type
-        Dataclass of the model's parameters. If it has arrays of any length, it has a property ``structure``: a dict of
-        name to size, which is fixed while running.
+        Dataclass of the model's parameters. If it has arrays of variable length, it has a property ``structure``: a
+        dict of name to size; the sizes are fixed while running.
     block : type
         Block with the law of the model and its closed-form inverse, if any. The block states whether the model is rate
         independent and invertible.
     example : Parameters
-        A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` writes an axis.
+        Example parameters for 0 … 100 V; ``hysteresis models NAME --yaml`` writes an axis with them.
     scaled : callable
         ``scaled(parameters, factor)`` returns parameters with which the displacement is multiplied by ``factor`` > 0.
     shifted : callable, optional
@@ -311,7 +311,7 @@ DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
 def require_structure(present, wanted) -> None:
     """Raise ParameterError if the structure of parameters (sizes of arrays) differs from the present one.
 
-    Both must be of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
+    Both must be of the same class. A class with arrays of variable length has a ``structure``: a dict of name to size.
     """
     before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
     problems = [
@@ -339,7 +339,7 @@ class InvertibleBlock(HysteresisBlock):
     invertible = True
 
     def retune(self, parameters) -> None:
-        """Change parameters of the same structure while running; the output does not change.
+        """Change to parameters of the same structure while running; the output does not change.
 
         Raises
         ------

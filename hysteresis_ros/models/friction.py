@@ -89,7 +89,7 @@ ANCHOR = 17  # anchor of the rear contact [m]
 BEFORE = 18  # the four friction limits of the last sample [N]
 STATES = 22
 
-#: Maximum number of passes in a step, in which each of the two contacts can change to kinetic friction once.
+#: Maximum number of passes in a step: each of the two contacts can change to kinetic friction once.
 PASSES = 3
 #: Allowed numerical damping of the steps within a sample, as a fraction of the damping of the joint.
 CONVERGED = 0.1
@@ -122,7 +122,7 @@ def slider_velocity(p, velocity, lead, front, rear):
         v = step * (drive + front) / mass
     elif carried < -front:
         v = step * (drive - front) / mass
-    # the sign is known, but rounding could move a creeping slider against the force on it
+    # the sign is known; without this limit, rounding could move a slowly moving slider against the force on it
     return v if v * direction > 0.0 else 0.0
 
 
@@ -338,7 +338,7 @@ class SliderParameters(Parameters):
     )
     substeps: int = parameter(
         1,
-        description="steps within a sample, with compliant contacts; 0: as many as needed for convergence",
+        description="steps within a sample, with compliant contacts; 0: enough for a numerical damping ≤ damping/10",
         low=0,
         high=1000,
         read_only=True,
@@ -351,7 +351,7 @@ class SliderParameters(Parameters):
         return self.external_force - self.mass * self.gravity * elementary.sin(self.inclination)
 
     def check(self):
-        """Yield a Problem if the travel is empty or does not contain the start."""
+        """Yield a Problem for an empty travel, a start outside of it, or automatic substeps without damping."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} m)")
         elif not self.minimum <= self.start <= self.maximum:

@@ -322,18 +322,18 @@ class Inchworm(Chain):
 
     @property
     def saturated(self) -> bool:
-        """Whether range or slew rate limited one of the last voltages."""
+        """Whether the range or the slew rate limited one of the last voltages."""
         return any(part.limits.saturated for part in (self.extender, self.front_clamp, self.rear_clamp))
 
     def reset(self) -> None:
-        """Return to rest at the start; the hysteresis is in its initial state, and the noise starts again."""
+        """Return to rest at the start, with the hysteresis in its initial state; the noise sequence starts again."""
         for block in (self.extender, self.front_clamp, self.rear_clamp, self.slider, self.slider_sensor):
             block.reset()
         self.joints[:] = 0.0
         self._settle()
 
     def retune(self, parameters: InchwormPlantParameters) -> None:
-        """Change the parameters to others of the same structure while running; all states continue.
+        """Change to parameters of the same structure while running; all states continue.
 
         Raises
         ------

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses by name: exact by root search, approximate by Picard steps, and the inverses that models declare.
+"""The inverses by name: root search (exact), Picard steps (approximate), and the inverses that models declare.
 
 The inverse ``general`` evaluates the model's kernel with a copy of the model's state. For any model, it finds the
 voltage at which the model's output is the commanded displacement.
@@ -53,8 +53,8 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
 
     Trial voltages start at the last voltage and go in the direction of the change, until the model's output has passed
     the target. Then regula falsi with Anderson-Björck weights narrows the bracket; if three trials have not halved it,
-    bisection follows. The number of trials is bounded. For a displacement beyond the model's range, the result is the
-    lowest or the highest voltage; for NaN, it is the last voltage. ``x_h`` is not changed.
+    a bisection step follows. The number of trials is bounded. For a displacement beyond the model's range, the result
+    is the lowest or the highest voltage; for NaN, it is the last voltage. ``x_h`` is not changed.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def _brought() -> dict[str, BroughtInverse]:
     for model, declared in MODELS.items():
         for name, inverse in declared.own_inverses.items():
             if name in GENERAL_INVERSES or name in found:
-                raise TypeError(f"{model} declares an inverse {name!r}: the name is taken")
+                raise TypeError(f"{model} declares an inverse {name!r}, but this name is taken: choose another")
             found[name] = BroughtInverse(model, inverse)
     return found
 
@@ -227,7 +227,7 @@ class InverseParameters(Parameters):
     )
 
     def fits(self, hysteresis: HysteresisParameters):
-        """Yield a Problem if this inverse does not work with the model."""
+        """Yield a Problem if this inverse does not work with the hysteresis model."""
         kind, model, block = self.type, hysteresis.type, hysteresis.model.block
         brought = BROUGHT.get(kind)
         remedy = ""

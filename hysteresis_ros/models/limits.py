@@ -23,7 +23,7 @@ from hysteresis_ros.models.block import Block, interpreted, kernel
 # Layout of p.
 MINIMUM = 0
 MAXIMUM = 1
-SLEW = 2  # [V] per sample, 0 = unlimited
+SLEW = 2  # largest change per sample [V]; 0: unlimited
 STEP = 3  # step of the converter's grid [V]; 0: no quantisation
 
 # Layout of x.
@@ -94,7 +94,7 @@ def limits(p, x, u):
 
 @kernel
 def is_limited(x):
-    """Return 1.0 if range or slew rate limited the last voltage; quantisation does not count."""
+    """Return 1.0 if the range or the slew rate limited the last voltage; quantisation does not count."""
     return 1.0 if x[FLAGS] % 4.0 != 0.0 else 0.0
 
 
@@ -129,10 +129,10 @@ class Limits(Block):
 
     @property
     def saturated(self) -> bool:
-        """Whether range or slew rate limited the last sample."""
+        """Whether the range or the slew rate limited the last voltage."""
         return bool(int(self.x[FLAGS]) & (RANGE | SLEWING))
 
     @property
     def limited_samples(self) -> int:
-        """Number of samples so far in which range or slew rate limited the voltage."""
+        """Number of samples so far in which the range or the slew rate limited the voltage."""
         return int(self.x[LIMITED_SAMPLES])

@@ -194,7 +194,7 @@ class LinearParameters(Parameters):
     C: tuple[float, ...] = parameter((), description="output matrix, n numbers")
     D: tuple[float, ...] = parameter((), description="feedthrough, one number; empty: none")
     input_scale: float = parameter(
-        0.0, description="SI units per model unit of the input; 0: the value that makes the DC gain in SI one", low=0.0
+        0.0, description="SI units per model unit of the input; 0: the value for a DC gain of 1 in SI units", low=0.0
     )
     output_scale: float = parameter(1.0, description="SI units per model unit of the output", low=1e-15)
     sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
@@ -285,7 +285,7 @@ class LinearParameters(Parameters):
             return
         if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
             remedy = (
-                f"the matrices are for this sample time, the axis runs at {sample_time:.9g} s (sample_rate "
+                f"the matrices are for this sample time, but the axis runs at {sample_time:.9g} s (sample_rate "
                 f"{1.0 / sample_time:.9g} Hz): set sample_rate to {1.0 / self.sample_time:.9g} Hz, or give matrices "
                 "for the sample time of the axis"
             )
@@ -295,7 +295,9 @@ class LinearParameters(Parameters):
         """Yield a Problem for wrong sizes, an unstable A, an unusable DC gain, or a delay without a sample time."""
         n = self._rows
         if self.delay and not self.sample_time:
-            yield Problem("delay", self.delay, "needs sample_time, because it is counted in samples; give it")
+            yield Problem(
+                "delay", self.delay, "needs sample_time, because the delay is counted in samples; give sample_time"
+            )
         elif self.delay > LONGEST_DELAY * self.sample_time:
             remedy = f"must be at most {LONGEST_DELAY} samples, {LONGEST_DELAY * self.sample_time:g} s"
             yield Problem("delay", self.delay, remedy)
@@ -315,7 +317,7 @@ class LinearParameters(Parameters):
             yield Problem(
                 "A",
                 self.A,
-                f"is unstable: its largest pole has modulus {radius:.6g}; all must be below 1 (discrete time)",
+                f"is unstable: its largest pole has modulus {radius:.6g}, which must be below 1 (discrete time)",
             )
         elif self.input_scale == 0.0 and not model.dc_gain > 0.0:
             yield Problem(

@@ -15,7 +15,7 @@ are therefore computed here. Every step is one addition, subtraction, multiplica
 float64, rounded correctly by IEEE 754; the order of the steps depends only on the sizes. NumPy's elementwise operations
 consist of such steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` do not.
 
-Rank, stability and printed figures may use ``np.linalg``, because these numbers do not depend on them.
+Rank, stability and printed figures may use ``np.linalg``, because the numbers of a running axis do not depend on them.
 
 References
 ----------

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Play operators: the outputs of plays of several radii, the columns of models of play type."""
+"""Play operators: the outputs of plays with several radii, which are the regressors of the play models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hysteresis_ros.models.block import COMPILED, specialised
 
 
 def plays(voltage, play_radii, start=None) -> np.ndarray:
-    """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
+    """Return the outputs of the play operators, shape (N, m); the outputs begin at ``start``, by default at 0 V.
 
     Without Numba, all samples between two reversals are processed together: between reversals, the output of a play is
     the running maximum of V - r (rising), or minimum of V + r (falling).

@@ -70,7 +70,7 @@ class SensorParameters(Parameters):
     """Errors of a displacement sensor."""
 
     noise: float = parameter(0.0, description="standard deviation of white Gaussian noise", unit="m", low=0.0)
-    resolution: float = parameter(0.0, description="smallest step of the reading; 0: none", unit="m", low=0.0)
+    resolution: float = parameter(0.0, description="quantisation step; 0: none", unit="m", low=0.0)
     offset: float = parameter(0.0, description="constant error", unit="m")
     seed: int = parameter(1, description="seed of the noise; equal seeds give equal noise", low=0, read_only=True)
 
@@ -220,7 +220,7 @@ class ForceSensorParameters(ForceParameters):
 
 @kernel
 def note_acting(p, x, dynamics_x, u):
-    """Store the displacement d acting in this sample on the dynamics with state ``dynamics_x`` and input ``u`` [m]."""
+    """Store the displacement d that acts in this sample, from state ``dynamics_x`` and input ``u`` [m] of the plant."""
     n = p.shape[0] - ROW
     if n >= 0:
         x[ACTING] = accumulate(p[THROUGH] * u, p, ROW, dynamics_x, linear.STATE, n)

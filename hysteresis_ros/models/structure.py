@@ -200,7 +200,7 @@ class StructureParameters(Parameters):
             radius = max(np.abs(system.poles), default=0.0)
             if radius >= 1.0:
                 which = words if words.startswith("without") else f"for {words} motions, with the slopes of the plays"
-                allowed = f"is unstable {which}: its largest pole has modulus {radius:.6g}; all must be below 1"
+                allowed = f"is unstable {which}: its largest pole has modulus {radius:.6g}, which must be below 1"
                 yield Problem("A", self.A, allowed)
                 return
 
@@ -254,7 +254,7 @@ def structure_advance(p, x, u):
 
 @composite("void", "array", "array", "table", "table")
 def run_structure(p, x, u, y):
-    """Write the outputs, sample by sample, for the inputs ``u`` (N, m) to ``y`` (N, q)."""
+    """Write the outputs for the inputs ``u`` (N, m) to ``y`` (N, q), sample by sample."""
     for k in range(u.shape[0]):
         structure_output(p, x, u[k], y[k])
         structure_advance(p, x, u[k])
@@ -341,7 +341,7 @@ class Structure:
             if np.all(np.abs(w - before) <= REST_CHANGE * np.abs(w)):
                 break
         else:
-            allowed = "the search for a rest point does not converge: the hysteresis is too large for this structure"
+            allowed = "the search for the steady state does not converge: lower weights, B_w or C_z"
             raise ParameterError([Problem("u", u.tolist(), allowed)])
         self.x[:] = np.concatenate([x, np.zeros(n), w, plays.ravel()])
 

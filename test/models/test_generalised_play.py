@@ -157,7 +157,7 @@ def test_the_inverse_finds_every_voltage_again(shape, seed, inverse):
         ({"rising_bend": 0.95}, "rising_bend"),
         ({"voltage_low": 100.0}, "above voltage_low"),
         ({"rate": -1e-3}, "rate"),
-        ({"rate": 1.1e-3}, "oscillate from sample to sample"),
+        ({"rate": 1.1e-3}, "oscillates from sample to sample"),
         ({"slope": 0.0}, "slope"),
     ],
 )

@@ -83,16 +83,16 @@ class BoucWenParameters(Parameters):
     """Parameters of the static Bouc-Wen element (B3, eqs 5-8), SI units."""
 
     d_e: float = parameter(description="elastic gain d_e of x = d_e V - h", unit="m/V", low=1e-15)
-    alpha: float = parameter(description="α: slope of h where it passes zero", unit="m/V", low=0.0)
+    alpha: float = parameter(description="α: slope of h where h is zero", unit="m/V", low=0.0)
     beta: float = parameter(description="β of -β |dV| h |h|^(n-1)", unit="1/V (m^(1-n)/V for exponent n)")
     gamma: float = parameter(description="γ of -γ dV |h|^n", unit="1/V (m^(1-n)/V for exponent n)")
     exponent: float = parameter(1.0, description="exponent n; 1 is integrated in closed form", low=1.0, high=20.0)
 
     def check(self):
-        """Yield a Problem if the initial displacement decreases with rising voltage."""
+        """Yield a Problem if the virgin curve does not rise at its start."""
         if self.alpha >= self.d_e:
             yield Problem(
-                "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; otherwise the virgin curve falls"
+                "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; otherwise the virgin curve does not rise"
             )
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
@@ -112,7 +112,7 @@ class BoucWenParameters(Parameters):
             )
         elif self.beta < self.gamma:
             found.append(
-                f"{prefix}beta - {prefix}gamma = {self.beta - self.gamma:.4g}: below 0, h may leave its bound "
+                f"{prefix}beta - {prefix}gamma = {self.beta - self.gamma:.4g}: below 0, so h may leave its bound "
                 "(α/(β + γ))^(1/n) after a reversal"
             )
         steepest = 2.0 * self.alpha * self.beta / total if total > 0.0 else 0.0

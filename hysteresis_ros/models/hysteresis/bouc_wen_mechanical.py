@@ -98,7 +98,9 @@ class BoucWenMechanicalParameters(Parameters):
         total = self.beta * (self.gamma + self.delta)
         steady = self.beta * (self.gamma - self.delta)
         if total <= 0.0 and steady <= 0.0:
-            return (f"{prefix}beta (gamma + delta) = {total:.4g} and (gamma - delta) = {steady:.4g}: z is unbounded",)
+            return (
+                f"{prefix}beta (gamma + delta) = {total:.4g} and beta (gamma - delta) = {steady:.4g}: z is unbounded",
+            )
         return ()
 
 

@@ -147,7 +147,7 @@ class DuhemParameters(Parameters):
 
 
 def spline_slopes(values) -> np.ndarray:
-    """Return the slopes, shape (n,), for a knot distance of 1, of the not-a-knot spline through equidistant values."""
+    """Return the slopes, shape (n,), of the not-a-knot spline through equidistant values with a knot distance of 1."""
     y = np.asarray(values, dtype=float)
     n = len(y)
     matrix, right = np.zeros((n, n)), np.zeros(n)
@@ -381,7 +381,7 @@ MODEL = HysteresisModel(
     },
     identify="hysteresis_ros.identification.procedures:duhem",
     options={
-        "alpha": Option(float, "α of the normalised input (the paper: 80); from minor loops by default"),
+        "alpha": Option(float, "α for the normalised input (80 in the paper); default: from minor loops"),
         "shape": Option(str, "representation of f and g", ("network", "spline")),
         "size": Option(int, "units of each network or knots of each spline", low=1),
         "seed": Option(int, "seed of the random starts", low=0),

@@ -29,8 +29,8 @@ held voltage; then the voltage moves, as in a rate-independent model. All thresh
 the corners are in the order of the radii, and the inverse is a closed form that is exact at every sample. While all
 plays move, the inverse is stable if the averaged thresholds grow by at most half a volt for each volt of a step, that
 is, if rate ≤ memory/2. After a reversal, only the slope responds to the voltage, while the shrinking thresholds still
-push all plays. This amplifies an error by Σ w_i / slope. With 6000 voltages and random reversals, the error stayed at
-the level of rounding for Σ w_i / slope up to 1.5; at 2.6 some errors grew to 3e-5 V.
+push all plays. This amplifies an error by Σ w_i / slope. In tests with 6000 voltages and random reversals, the error
+stayed at the level of rounding for Σ w_i / slope up to 1.5; at 2.6 some errors grew to 3e-5 V.
 
 References
 ----------
@@ -96,7 +96,7 @@ class GeneralisedPlayParameters(Parameters):
     """Plays, their envelopes and their growth with the rate, SI units."""
 
     radii: tuple[float, ...] = parameter(
-        description="radii r of the plays (half widths) at rest, rising", unit="V", low=0.0
+        description="radii r (half widths) of the plays at rest, increasing", unit="V", low=0.0
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
     slope: float = parameter(description="slope of the part without hysteresis; above 0", unit="m/V", low=1e-18)
@@ -132,7 +132,7 @@ class GeneralisedPlayParameters(Parameters):
             remedy = (
                 f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: otherwise the inverse's"
             )
-            yield Problem("rate", self.rate, f"{remedy} voltages oscillate from sample to sample and grow")
+            yield Problem("rate", self.rate, f"{remedy} voltage oscillates from sample to sample and grows")
         if not self.voltage_low < self.voltage_high:
             yield Problem("voltage_high", self.voltage_high, f"must be above voltage_low = {self.voltage_low:g}")
         if self.falling_bend > self.rising_bend:

@@ -69,7 +69,7 @@ class PrandtlIshlinskiiParameters(Parameters):
     """Radii and weights of the plays, thresholds and weights of the dead zones, SI units."""
 
     radii: tuple[float, ...] = parameter(
-        description="radii r of the plays (half widths), rising from 0", unit="V", low=0.0
+        description="radii r (half widths) of the plays, increasing from 0", unit="V", low=0.0
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
     thresholds: tuple[float, ...] = parameter(

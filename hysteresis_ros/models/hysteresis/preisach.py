@@ -16,10 +16,11 @@ r"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded
 with the stored maxima v and minima m, offset x_0 and reversible slope s. The Everett function ``E(a, b)`` is the change
 of the output when the input, coming from below, reverses at ``a`` and falls to ``b``. For any history, a rise from a
 minimum m to v adds ``E(v, m)``, and a fall from a maximum M to v subtracts ``E(M, v)`` (congruency). When a loop
-closes, it is removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid; between the
-nodes, E is interpolated bilinearly, in the triangles at the diagonal linearly.
+closes, it is removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid. Between the
+nodes, E is interpolated bilinearly; in the triangles at the diagonal, linearly.
 
-Outside the range of the grid the memory does not change; the output continues along the end of the major loop.
+Outside the range of the grid the memory does not change, and the output continues with the slope at the end of the
+major loop.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class PreisachParameters(Parameters):
         description="E(a, b) at equidistant nodes, a >= b, row by row of rising a: n (n + 1)/2 numbers", unit="m"
     )
     slope: float = parameter(0.0, description="reversible part: slope without hysteresis", unit="m/V", low=0.0)
-    offset: float = parameter(0.0, description="displacement at voltage_low in saturation", unit="m")
+    offset: float = parameter(0.0, description="displacement at voltage_low in negative saturation", unit="m")
     memory: int = parameter(64, description="number of stored turning points", low=4, high=10000, read_only=True)
 
     @property
@@ -290,7 +291,7 @@ class PreisachHysteresis(RateIndependentBlock):
     def rebase(self) -> None:
         """Apply the changed map to the stored turning points; the jump of the output fades out.
 
-        The jump becomes zero, linearly, while the voltage travels by the length of the range.
+        It decreases linearly to zero while the voltage travels by the width of the range.
         """
         x, p, capacity = self.x, self.p, int(self.p[CAPACITY])
         depth, output = int(x[DEPTH]), x[DISPLACEMENT]
