@@ -14,8 +14,8 @@ a :mod:`.trajectory`. :mod:`.inchworm_sequencer` converts the setpoints of an in
 contains the excitations for identification; :mod:`.scan` and ``scans/`` contain paths of several axes over a plane.
 :mod:`.moves` determines when a motion has arrived or settled; :mod:`.triggers` computes the triggers.
 
-The package has a class for each waveform; the constructor of the class takes the parameters as keywords:
-``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
+The package has a class for each waveform; its constructor takes the parameters as keywords:
+``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists the classes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def __getattr__(name: str) -> type[Reference]:
     """Return the class of a waveform; the class is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up the names of submodules here, while it imports them
+    # when Python imports a submodule, it also looks up the submodule's name here
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.references.classes import CLASSES

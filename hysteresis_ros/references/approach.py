@@ -114,7 +114,7 @@ class ApproachParameters(Parameters):
 
 
 def effective_limits(parameters: ApproachParameters, stroke: float) -> tuple[float, float, float]:
-    """Return the velocity [m/s], acceleration [m/s²] and jerk [m/s³] that a ``stroke`` [m] uses; inf if unlimited."""
+    """Return the limits of velocity [m/s], acceleration [m/s²] and jerk [m/s³] for a ``stroke`` [m]; inf: unlimited."""
     velocity = parameters.maximum_velocity or math.inf
     acceleration = parameters.maximum_acceleration or math.inf
     jerk = parameters.maximum_jerk or math.inf
@@ -201,7 +201,8 @@ class Approach(Block):
     sample_time : float
         Sample time [s].
     minimum, maximum : float
-        Range of the reference [m]. It determines the quantum of the arithmetic and, if limits are 0, the stroke.
+        Range of the reference [m]. It determines the quantum of the arithmetic, and the stroke that replaces limits of
+        0.
     initial_setpoint : float
         Initial position [m], at rest.
 
@@ -306,7 +307,7 @@ class ShapingParameters(Parameters):
         0.0,
         unit="Hz",
         low=0.0,
-        description="natural frequency of the mode to suppress; can change while the setpoint is constant",
+        description="natural frequency of the mode to suppress; can change while no move is in progress",
     )
     damping: float = parameter(0.0, low=0.0, high=0.9, description="damping ratio of that mode")
 
@@ -330,7 +331,7 @@ def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.n
     half = math.pi / (omega * sample_time)
     lowest = 1.0 / ((RING - 4) * sample_time * math.sqrt(1.0 - damping * damping))
     if not half > 1.0 or frequency < lowest:
-        remedy = f"must be within {lowest:.4g} … {0.5 / sample_time:g} Hz, half the sample rate"
+        remedy = f"must be at least {lowest:.4g} Hz and below {0.5 / sample_time:g} Hz, half the sample rate"
         raise ParameterError([Problem("shaping.frequency", frequency, remedy)])
     places = (0, math.floor(half), math.floor(half) + 1)
     # a zero at z = exp(pole T) requires Σ h exp(−pole T place) = 0

@@ -45,7 +45,7 @@ class Reference(Waveform):  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            The waveform has no end and no number is given, or the number is negative.
+            The waveform has no end and no ``count`` is given, or ``count`` is negative.
         """
         if count is None:
             count = self.duration_samples

@@ -46,7 +46,7 @@ OWN = 8
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi
-#: Tolerance [cycles] with which an edge of square or staircase still belongs to a sample, because of rounding.
+#: Tolerance [cycles] within which an edge of square or staircase counts as being at a sample, because of rounding.
 EDGE = 1e-9
 LARGEST_DENOMINATOR = 2**26
 

@@ -159,8 +159,8 @@ def abandon(ps, xs):
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach or trajectory, plus waveform, clipped to minimum … maximum.
 
-    A reference that begins outside this range is clipped to its last value there, so it moves into the range without a
-    jump.
+    If the last reference lies outside this range, it replaces the nearer limit, so the reference moves into the range
+    without a jump.
 
     ``ps``, ``xs`` are :class:`GeneratorArrays`. While the generator is stopped, reference and states do not change.
     """
@@ -213,7 +213,7 @@ def run_reference(waveform, ps, xs, setpoints, references):
 
 
 class ReferenceGenerator(Chain):
-    """Generator of the reference from setpoints and a waveform. It runs from construction on.
+    """Generator of the reference from setpoints and a waveform; it runs from construction on.
 
     Parameters
     ----------
@@ -344,7 +344,7 @@ class ReferenceGenerator(Chain):
 
     @property
     def largest_velocity(self) -> float:
-        """Largest velocity of the waveform without an approach [m/s]; a step may last until the next step."""
+        """Largest velocity of the waveform without an approach [m/s]; a step takes the time until the next step."""
         distances, available = self._changes()
         return float(np.max(distances / available, initial=0.0))
 
@@ -514,12 +514,12 @@ class ReferenceGenerator(Chain):
             interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def retune(self, parameters: ReferenceParameters) -> None:
-        """Change the waveform while the generator is stopped, or the input shaping while the reference is constant.
+        """Change the waveform while the generator is stopped, or the input shaping while no move is in progress.
 
         Raises
         ------
         ParameterError
-            The generator runs (for a change of the shaping: the reference moves), the new parameters are wrong, or
+            The generator runs (for a change of the shaping: a move is in progress), the new parameters are wrong, or
             another parameter differs. Nothing is changed then.
         """
         parameters.validated()
@@ -529,7 +529,7 @@ class ReferenceGenerator(Chain):
         for name in changed:
             if name.startswith("shaping."):
                 if self.moving:
-                    problems.append(Problem(name, new.get(name), "can change only while the reference rests; wait"))
+                    problems.append(Problem(name, new.get(name), "can change only while no move is in progress; wait"))
             elif not name.startswith("waveform."):
                 problems.append(
                     Problem(name, new.get(name), "fixed while the node is configured; clean up and configure again")

@@ -48,7 +48,7 @@ from __future__ import annotations
     DRIFT,  # [m/s]
     CONTINUOUS,  # not 0: walk continuously, by the phase of the cycle (with the parameters below)
     WALKING_STEP,  # [m] per cycle
-    BLEND,  # fraction of the carrying motion in which the speed rises, and fraction in which it falls
+    BLEND,  # fraction of the carrying motion in which the speed rises, and equal fraction in which it falls
     LEAD,  # lead of the outputs over the path [samples]
     BOUND,  # largest correction [m]
     LEARNING_GAIN,
@@ -58,13 +58,13 @@ from __future__ import annotations
     TIP_INERTIA,  # lead of the command divided by the acceleration of the extender [samples²]
     TIP_LAG,  # lead of the command divided by the speed of the extender [samples]
     CLAMP_LEAD,  # lead of the clamps over the extender [samples]
-    QUICK_CLAMPS,  # not 0: at any speed, the ramps of the clamps take the gait's times
+    QUICK_CLAMPS,  # not 0: the clamp ramps have the gait's durations at any speed
     TOUCHES,  # fraction of the closing ramp at which a clamp touches the slider
     LETS_GO,  # fraction of the opening ramp at which a clamp releases the slider
     SPLINES,  # number of splines of the correction
     BINS,  # number of bins of the error
 ) = range(50)
-#: Indices in p of the phases at which the processes of a cycle end: forward cycle, backward cycle (phases: see below).
+#: Indices in p of the phases at which the processes of a cycle end, forward and backward; the phases follow below.
 FORWARD_BOUNDS = 50
 BACKWARD_BOUNDS = 58
 #: Matrices of the learning for each direction, row by row: first the matrix that multiplies the errors, (SPLINES,
@@ -162,7 +162,7 @@ BACKWARD_MODEL = 69
     WHOLE,  # 1 while the present cycle is still usable for learning
     STAND_SUM,  # sum of the slider positions while the slider stands still, and number of these samples
     STAND_COUNT,
-    SQUARES,  # sum of the squared errors of the present cycle, and number of its samples
+    SQUARES,  # sum of the squared errors in the present cycle, and number of summed errors
     SQUARE_COUNT,
     RIPPLE,  # RMS of the error over the last whole cycle [m]
     LEARNED_CYCLES,  # number of learned cycles so far

@@ -145,7 +145,7 @@ class GaitParameters(Parameters):
         low=0.0,
         high=100.0,
         read_only=True,
-        description="time in which a clamp's force follows its voltage; no ramp may be shorter",
+        description="settling time of a clamp's force after a change of its voltage; no ramp may be shorter",
     )
     lowest_extension: float = parameter(
         1.0e-6, unit="m", read_only=True, description="extension at one end of a full step"
@@ -158,7 +158,7 @@ class GaitParameters(Parameters):
         unit="m",
         low=0.0,
         read_only=True,
-        description="how far fine positioning may extend beyond the ends of a step; beyond that the extender "
+        description="how far fine positioning may go beyond the ends of a step; beyond this limit the extender "
         "is re-centred",
     )
     fine_window: float = parameter(
@@ -173,7 +173,7 @@ class GaitParameters(Parameters):
         0.0,
         unit="m/s",
         read_only=True,
-        description="continuous walking from the start, negative backward; 0: walk to setpoints",
+        description="walking speed from the start; negative: backward; 0: walk to setpoints",
     )
 
     @property
@@ -213,7 +213,7 @@ class GaitParameters(Parameters):
             return None
         return (
             f"speed {speed:g} m/s refused: the gait reaches {self.speed:g} m/s ({self.stroke:g} m at "
-            f"{self.frequency:g} Hz); shorten its durations or walk slower"
+            f"{self.frequency:g} Hz); shorten the gait's durations or walk slower"
         )
 
     def check(self):
@@ -284,7 +284,7 @@ class WalkParameters(Parameters):
     continuous: bool = parameter(
         False,
         read_only=True,
-        description="walk at a speed without pauses: extender and clamps are functions of the phase of the cycle",
+        description="true: walk at a speed without pauses; extender and clamps are functions of the phase of the cycle",
     )
     step: float = parameter(
         6.0e-6, unit="m", low=1.0e-12, high=1.0, read_only=True, description="length of a cycle of continuous walking"
@@ -294,9 +294,8 @@ class WalkParameters(Parameters):
         low=0.05,
         high=0.5,
         read_only=True,
-        description="fraction of the carrying motion in which the speed rises, and again in which it falls; "
-        "it is constant "
-        "between",
+        description="fraction of the carrying motion in which the speed rises, and equal fraction in which it falls; "
+        "in between, the speed is constant",
     )
     lead: float = parameter(
         0.0,
@@ -330,7 +329,7 @@ class WalkParameters(Parameters):
         1.0e-6, unit="m", low=0.0, high=1.0, read_only=True, description="largest coefficient of the correction"
     )
     splines: int = parameter(
-        32, low=8, high=128, read_only=True, description="splines of the correction over the phase"
+        32, low=8, high=128, read_only=True, description="number of splines of the correction over the phase"
     )
     learning_speed: float = parameter(
         1.0e-4,
@@ -414,7 +413,7 @@ class WalkParameters(Parameters):
             if worst > 1.0 + ROUNDING:
                 remedy = (
                     f"would not converge at walk.learning_speed = {self.learning_speed:g} m/s: on a motor "
-                    f"that deviates from the model by {100 * GAIN_RANGE:g} % a cycle multiplies an error by "
+                    f"whose motion deviates by {100 * GAIN_RANGE:g} %, each cycle multiplies an error by "
                     f"{worst:.3g}; lower the gain or the speed"
                 )
                 yield Problem("walk.gain", self.gain, remedy)
@@ -533,7 +532,8 @@ def learning_matrices(walk: WalkParameters, gait: GaitParameters, direction: int
 def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> float:
     """Return the factor on the error in each cycle, for the worst motor: the spectral radius of I − γ (L M + K).
 
-    The motors are the corners of :data:`GAIN_RANGE`, :data:`GRIP_RANGE` and :data:`SWING_RANGE` around the model.
+    The motors deviate from the model by ± :data:`GAIN_RANGE`, ± :data:`GRIP_RANGE` and ± :data:`SWING_RANGE`, in all
+    combinations.
     """
     (learned, kept), worst = learning_matrices(walk, gait, direction), 0.0
     for gain in (1.0 - GAIN_RANGE, 1.0 + GAIN_RANGE):
@@ -597,7 +597,7 @@ def _model(default: float, which: str, unit: str = ""):
 class LearningParameters(Parameters):
     """Learned step length: motion of the slider = gain · extension + offset, for each direction."""
 
-    enabled: bool = parameter(True, read_only=True, description="learn from the measured steps")
+    enabled: bool = parameter(True, read_only=True, description="true: learn the step length from the measured steps")
     forgetting: float = parameter(
         0.98,
         low=0.5,
@@ -675,11 +675,11 @@ class ScheduleParameters(Parameters):
     duration: float = parameter(0.0, unit="s", low=0.0, read_only=True, description="length of a run; 0: not stated")
 
     def check(self):
-        """Yield a Problem if times and values differ in number, or if the times do not increase."""
+        """Yield a Problem if the numbers of times and values differ, or if the times do not increase."""
         if len(self.times) != len(self.values):
             yield Problem("times", self.times, f"must be {len(self.values)} numbers, one for each of values")
         elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
-            yield Problem("times", self.times, "must rise from one to the next")
+            yield Problem("times", self.times, "must increase from one to the next")
 
 
 @dataclass(frozen=True)
@@ -703,7 +703,7 @@ class InchwormSequencerParameters(Parameters):
     setpoints: ScheduleParameters = group(ScheduleParameters)
 
     def check(self):
-        """Yield a Problem if the travel is empty or does not contain a setpoint of the configuration."""
+        """Yield a Problem for an empty travel, configured setpoints outside of it, or walking that does not fit."""
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
             return

@@ -11,13 +11,13 @@
 
 Both clamps close first. From then on, a clamp changes only while the other one is closed: *holding* (both closed) is
 the only state from which a clamp opens. While both hold, the sequencer chooses the next phase from the setpoint, the
-measurements and the requests. A phase runs to its end unless the motor must stop; then the open clamp closes
+measurements and the requests. A phase runs to its end unless the motor must stop; in this case the open clamp closes
 immediately while the extender brakes.
 
 The sequencer replaces the reference generator. The motion controller's measurement is the slider position minus
 :attr:`origin`. The origin is chosen so that the measurement is the displacement of the extender while the motor walks,
 and the displacement of the slider in fine positioning. While both clamps hold, the controller receives its own
-reference as measurement, because nothing can move and an integral would wind up.
+reference as measurement, because nothing can move and an integrator would wind up.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class LearnedWalk(NamedTuple):
 
 
 def write_walk(path, learned: LearnedWalk) -> None:
-    """Write a learned walk; an existing file is replaced atomically."""
+    """Write a learned walk to a file; an existing file is replaced atomically."""
     values = {"step": learned.step, "forward": learned.forward.tolist(), "backward": learned.backward.tolist()}
     text = _HEADER + yaml.safe_dump({KIND: values}, sort_keys=False, default_flow_style=None, width=118)
     write_text(pathlib.Path(path).expanduser(), text, ConfigurationError)
@@ -119,13 +119,15 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
         if array.shape != (splines,):
             raise refused(f"has {array.size} coefficients; walk.splines is {splines}: learn again")
         if not np.all(np.abs(array) <= bound):
-            raise refused(f"has a coefficient beyond walk.bound = {bound:g} m, or one that is not finite")
+            raise refused(
+                f"has a coefficient that is not finite or exceeds walk.bound = {bound:g} m: raise it or learn again"
+            )
     return learned
 
 
 @kernel
 def reach(p):
-    """Return the largest motion of the slider in one step [m], including the oscillation of a load."""
+    """Return the largest plausible motion of the slider in one step [m], including the oscillation of a load."""
     return p[at.RUNAWAY] + 1.5 * (p[at.HIGHEST] - p[at.LOWEST] + p[at.MARGIN])
 
 
@@ -437,7 +439,7 @@ def sequence(p, x, setpoint, slider, extender):
 
 
 class InchwormSequencer(Block):
-    """The sequencer: it computes reference and clamp voltages of each sample from setpoint and measurements.
+    """Sequencer of an inchworm motor: reference and clamp voltages of each sample from setpoint and measurements.
 
     Parameters
     ----------
@@ -571,7 +573,7 @@ class InchwormSequencer(Block):
         return f"setpoint {micrometres(setpoint)} refused: {reason}, allowed: {micrometres(low, high)}"
 
     def request(self, code: int) -> None:
-        """Request start, stop, home or release (codes of the layout), from the next sample on.
+        """Request start, stop, home, release, learn, freeze or forget (codes of the layout), from the next sample on.
 
         Release opens the front clamp and relaxes the extender; the rear clamp still holds the slider.
         """

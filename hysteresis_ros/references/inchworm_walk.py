@@ -39,9 +39,10 @@ from hysteresis_ros.references.inchworm_steps import (
     turn,
 )
 
-#: A new correction fades in during this fraction of the extender's standstill before the front clamp closes.
+#: A new correction fades in during this fraction of the time from the middle of the return until the front clamp begins
+#: to close.
 GLIDE_PART = 0.8
-#: A requested rate is too fast if it exceeds the highest rate by this factor.
+#: A requested rate is too fast if it exceeds this multiple of the highest rate.
 TOO_FAST = 1.05
 #: For the learning, speeds with a smaller relative difference count as equal.
 SAME_SPEED = 0.02
@@ -130,8 +131,8 @@ def path(p, x, phase):
 def tip(p, x, phase, glide):
     """Return the desired position [m] of the extender at ``phase``, and store the correction in ``x``.
 
-    ``glide`` is the weight of the new coefficients of the correction, relative to the previous ones. If the slider
-    can oscillate, the extension is increased in proportion to the slider's acceleration.
+    ``glide`` is the weight of the new coefficients of the correction; the previous ones have the weight 1 − ``glide``.
+    If the slider can oscillate, the extension is increased in proportion to the slider's acceleration.
     """
     b, n, first = bounds_of(x), int(p[at.SPLINES]), coefficients(p, x)
     half = p[b + at.RETURNED]
@@ -139,7 +140,7 @@ def tip(p, x, phase, glide):
     new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
     x[at.CORRECTION] = old + glide * (new - old)
     acceleration = 0.0
-    if p[at.TIP_INERTIA] > 0.0:  # this lead might excite an unknown resonance of the extender
+    if p[at.TIP_INERTIA] > 0.0:  # if the resonance is unknown, this lead might excite it
         new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
         acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
     if phase < half or phase >= p[b + at.RETURN]:
@@ -176,8 +177,8 @@ def clamp_voltage(p, closed):
 def passed(p, rate, phase, first, last, contact):
     """Return the elapsed fraction of a clamp's ramp at ``phase``.
 
-    The ramp takes the whole time between the phases ``first`` and ``last``; quick ramps take the gait's time, around
-    the fraction ``contact`` of the ramp.
+    The ramp takes the whole time between the phases ``first`` and ``last``; quick ramps have the gait's duration, and
+    reach the fraction ``contact`` at the same phase.
     """
     part = (phase - first) / (last - first)
     if p[at.QUICK_CLAMPS] != 0.0:
@@ -296,7 +297,7 @@ def observe(p, x):
 
 @called
 def begin_walk(p, x):
-    """Begin continuous walking: the extender first moves to its position in the cycle when the rear clamp opens."""
+    """Begin continuous walking: the extender first moves to its position at the phase in which the rear clamp opens."""
     turn(x, x[at.SPEED])
     aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:

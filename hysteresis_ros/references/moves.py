@@ -72,7 +72,7 @@ class SettlingParameters(Parameters):
     )
     time: float = parameter(
         0.05,
-        description="time for which the distance must stay below the tolerance without interruption",
+        description="time for which the distance must stay within the tolerance without interruption",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -81,7 +81,7 @@ class SettlingParameters(Parameters):
 
 
 class Settling:
-    """Determines at each sample whether an axis has settled.
+    """Detector of a settled axis, evaluated at each sample.
 
     A sample counts if the measurement is within the tolerance of the reference, and if the reference moves by less than
     the tolerance within ``time``. A sample that does not count (for example, one without a measurement) restarts
@@ -190,7 +190,7 @@ class Noise:
 
 
 class NoiseMeter:
-    """Meter for the noise of an axis, from the samples at which the reference has been constant for a time.
+    """Meter for the noise of an axis, from the samples at which the reference has been constant for the time ``rest``.
 
     The second difference of white noise has six times the variance of the noise, and the second difference of a slow
     motion is small. The variance of the error is the sum of the variances of the sensor's noise and of the
@@ -411,7 +411,7 @@ _ENDINGS = {
 
 
 class Move:
-    """Monitors a trajectory in progress.
+    """Monitor of a trajectory in progress.
 
     Parameters
     ----------
@@ -445,7 +445,7 @@ class Move:
         own = self.tolerances
         if outcome == OPEN:
             if abs(error) > own.path:
-                return Ending.PATH_VIOLATED, f"{error:.6g} m from the reference, allowed: {own.path:g} m"
+                return Ending.PATH_VIOLATED, f"{error:.6g} m from the reference, allowed: at most {own.path:g} m"
             return None
         if not self._ended <= time:
             self._ended = time

@@ -88,7 +88,7 @@ EXCITED = 0.48
 
 @dataclass(frozen=True)
 class Excitation:
-    """An excitation that a recipe gives for a range of voltage.
+    """Excitation of a recipe for a range of voltages.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         ``waveform.``.
     """
     if kind not in WAVEFORMS:
-        remedy = f"unknown waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
+        remedy = f"unknown waveform; the waveforms are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
         raise ParameterError([Problem(f"{PREFIX}type", kind, remedy)])
     rows = _rows(kind)
     values = {"type": kind, **{name: row.default for name, row in rows.items() if not row.required}}
@@ -322,7 +322,7 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         full = name if name in rows else f"{kind}.{name}"
         if full not in rows:
             words = [known.removeprefix(f"{kind}.") for known in rows]
-            remedy = f"{kind} has no such parameter, it has {', '.join(words)}{did_you_mean(name, words)}"
+            remedy = f"{kind} has no such parameter; it has {', '.join(words)}{did_you_mean(name, words)}"
             problems.append(Problem(PREFIX + name, text, remedy))
             continue
         try:

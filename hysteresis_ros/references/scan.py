@@ -48,7 +48,8 @@ ROUNDING = 1e-9
 #: The smallest number per pass takes precedence over the upper bound per period.
 POINTS, FEW_POINTS = 1024, 64
 LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
-#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The remaining motion has 1 % of the total RMS.
+#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The remaining motion has at most 1 % of the total
+#: RMS.
 OCCUPIED = 0.9999
 
 
@@ -135,7 +136,7 @@ class Scan(Parameters, abc.ABC):
     frame_rate : float
         Frames per second [Hz].
     pixels : int
-        Pixels of a line.
+        Number of pixels per line.
     centre_x, centre_y : float
         Middle of the scan [m].
     rotation : float
@@ -147,9 +148,9 @@ class Scan(Parameters, abc.ABC):
     """
 
     frame_rate: float = parameter(1.0, description="frames per second", unit="Hz", low=0.0, high=1e6)
-    pixels: int = parameter(256, description="pixels of a line", low=1, high=100_000)
-    centre_x: float = parameter(0.0, description="middle of the scan", unit="m", low=-1.0, high=1.0)
-    centre_y: float = parameter(0.0, description="middle of the scan", unit="m", low=-1.0, high=1.0)
+    pixels: int = parameter(256, description="pixels per line", low=1, high=100_000)
+    centre_x: float = parameter(0.0, description="x of the middle of the scan", unit="m", low=-1.0, high=1.0)
+    centre_y: float = parameter(0.0, description="y of the middle of the scan", unit="m", low=-1.0, high=1.0)
     rotation: float = parameter(
         0.0, description="angle from the x axis to the direction of the lines", unit="rad", low=-7.0, high=7.0
     )
@@ -224,7 +225,7 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def constant_share(self) -> float:
-        """Fraction of a frame's time in which data are taken at a constant velocity along the line."""
+        """Fraction of a frame's duration in which data are taken at a constant velocity along the line."""
         return 0.0
 
     @property
@@ -251,7 +252,7 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def lines_per_frame(self) -> int:
-        """Number of lines of a frame."""
+        """Number of lines per frame."""
         return int(self.passes.line.max()) + 1
 
     @cached_property

@@ -25,8 +25,8 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.references.scan import EDGE, Marks, Scan, frame_marks, line_marks, pixel_marks
 from hysteresis_ros.signals import Edge
 
-#: Largest number of periods that together make a whole number of samples; and largest distance from the end of a path
-#: back to a sample that still counts as the end [samples].
+#: Largest number of periods that together make a whole number of samples; and largest distance [samples] by which the
+#: sample that counts as the end of a path may precede this end.
 MOST_PERIODS, WHOLE = 1000, 1e-6
 #: Levels of a clock; each level includes the coarser ones.
 LEVELS = ("none", "frame", "line", "pixel")
@@ -170,7 +170,7 @@ class ScanClock:
         return np.append(places, places[0] + float(self._period))
 
     def delays(self, edge: Edge) -> np.ndarray:
-        """Return for each sample the time from the exact edge to the sample [s], for the loop; shape (N,).
+        """Return the time from the exact edge to each sample [s], for the loop; shape (N,).
 
         Parameters
         ----------

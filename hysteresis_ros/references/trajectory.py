@@ -218,7 +218,7 @@ class Points:
                 text = f"the path has {count} points; give one for every point{'' if needed else ' or none'}"
                 raise _refused(name, len(numbers), text, "numbers")
             for number in numbers[~np.isfinite(numbers)][:1]:
-                raise _refused(name, number, "not a finite number")
+                raise _refused(name, number, "must be a finite number")
         if len(self.accelerations) and not len(self.velocities):
             text = "cannot be given without velocities: give both, velocities alone, or neither"
             raise _refused("accelerations", count, text, "numbers")

@@ -46,13 +46,13 @@ NOTHING, START, HOLD, STEP_SETPOINT = range(4)
 
 @dataclass(frozen=True)
 class TriggerInputParameters(Parameters):
-    """Action of a pulse of the trigger input."""
+    """Action that a pulse at the trigger input causes."""
 
     action: str = parameter(
         "none",
         choices=ACTIONS,
         read_only=True,
-        description="start: the waveform, which waits for it; hold: keep the reference where it is, as ~/stop does; "
+        description="start: start the waveform, which waits for this; hold: hold the reference, as ~/stop does; "
         "step: add `distance` to the setpoint",
     )
     distance: float = parameter(
@@ -62,7 +62,7 @@ class TriggerInputParameters(Parameters):
     def check(self) -> Iterator[Problem]:
         """Yield a Problem for each inconsistency."""
         if (self.action == "step") != (self.distance != 0.0):
-            remedy = "must differ from 0" if self.action == "step" else "belongs to action: step, for others give 0"
+            remedy = "must differ from 0" if self.action == "step" else "is only for action: step; give 0"
             yield Problem("distance", self.distance, remedy, "m")
 
 
@@ -86,7 +86,7 @@ class TriggerParameters(Parameters):
         low=0.0,
         high=1.0,
         description="distance beyond a position that arms it again, at least 6 times the RMS noise of the sensor; 0: a "
-        "quarter of the least distance of two positions, or 1 % of the range for a single position",
+        "quarter of the smallest distance between positions, or 1 % of the range for a single position",
     )
     times: tuple[float, ...] = parameter(
         (), unit="s", description="times since the beginning of the waveform, increasing"
@@ -175,7 +175,9 @@ def makes_triggers(node: Mapping[str, Any]) -> bool:
 def _order_problems(name: str, values: tuple[float, ...], unit: str) -> Iterator[Problem]:
     """Yield a Problem if values are not finite, do not increase, or are too many."""
     if len(values) > MOST:
-        yield Problem(name, len(values), f"are more than {MOST}: give a grid (start, step, stop)")
+        yield Problem(
+            name, len(values), f"are more than {MOST}: give fewer, or for positions a grid (start, step, stop)"
+        )
     wrong = next((b for a, b in zip(values, values[1:], strict=False) if not b > a), None)
     wrong = next((value for value in values if not math.isfinite(value)), wrong)
     if wrong is not None:
@@ -251,7 +253,12 @@ def trigger_problems(
             "s",
         )
     if waveform is None and given.times:
-        yield Problem("triggers.times", given.times[0], "count from the beginning of a waveform: give positions", "s")
+        yield Problem(
+            "triggers.times",
+            given.times[0],
+            "count from the beginning of a waveform, but the axis has none: give positions",
+            "s",
+        )
     if given.each != "none":
         yield from _scan_problems(given.each, waveform, least, limit, step)
 

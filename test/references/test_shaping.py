@@ -81,7 +81,7 @@ def test_shaping_changes_while_the_setpoint_rests_and_only_then():
     )
     made.simulate(np.full(20, 4e-6))
     assert made.moving
-    with pytest.raises(ParameterError, match=r"shaping\.\w+ = .*only while the reference rests"):
+    with pytest.raises(ParameterError, match=r"shaping\.\w+ = .*only while no move is in progress"):
         made.retune(other)
     assert made.parameters.shaping.type == "zv"
     made.simulate(np.full(RING + 20, 4e-6))

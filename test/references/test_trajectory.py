@@ -155,7 +155,7 @@ def test_a_newer_trajectory_replaces_one_and_a_stop_ends_it():
         ({"times": [0.0], "positions": [START]}, "must be later than 0 s"),
         ({"times": [], "positions": []}, "allowed: 1 … 1000"),
         ({"times": [0.1], "positions": [1e-6, 2e-6]}, "give one for every point"),
-        ({"times": [0.1], "positions": [math.nan]}, "not a finite number"),
+        ({"times": [0.1], "positions": [math.nan]}, "must be a finite number"),
         ({"times": [0.1], "positions": [16e-6]}, "out of range, allowed: 0 … 1.5e-05 m"),
         ({"times": [0.1, 0.2], "positions": [14.9e-6] * 2, "velocities": [1e-4, 0.0]}, "out of range"),
         ({"times": [0.1], "positions": [3e-6], "velocities": [1e-4]}, "because the axis rests there"),

@@ -287,7 +287,7 @@ SCAN = {
         ),
         (WAVEFORM | {"triggers.positions": (1e-6, 2e-6), "triggers.rearm": 1e-6}, r"rearm = 1e-06 m: must be below"),
         (WAVEFORM | {"triggers.input.action": "step"}, r"input.distance = 0.0 m: must differ from 0"),
-        (WAVEFORM | {"triggers.input.distance": 1e-6}, r"belongs to action: step"),
+        (WAVEFORM | {"triggers.input.distance": 1e-6}, r"is only for action: step"),
         (
             WAVEFORM | {"triggers.down_positions": (1e-6,), "triggers.direction": "up"},
             r"direction = 'up': must be both with down_positions",

@@ -23,7 +23,7 @@ from hysteresis_ros.references.recipes import parameter_value
 from hysteresis_ros.references.scan import Scan, ScanShape
 from hysteresis_ros.registry import discover
 
-#: The scans, by name. Other packages add theirs by an entry point: ``zigzag = my_package.zigzag:SCAN``.
+#: The scans, by name. Other packages add scans by an entry point: ``zigzag = my_package.zigzag:SCAN``.
 SCANS: dict[str, ScanShape] = discover(__name__, "SCAN", ScanShape, "hysteresis_ros.scans")
 
 
@@ -52,7 +52,7 @@ def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
 def shape_of(kind: str) -> ScanShape:
     """Return the declaration of a scan, one of :data:`SCANS`; ParameterError if there is no such scan."""
     if kind not in SCANS:
-        allowed = f"there is no such scan; there are {', '.join(SCANS)}{did_you_mean(kind, SCANS)}"
+        allowed = f"there is no such scan; the scans are {', '.join(SCANS)}{did_you_mean(kind, SCANS)}"
         raise ParameterError([Problem("scan", kind, allowed)])
     return SCANS[kind]
 

@@ -49,7 +49,7 @@ class Cycloid(Scan):
 
     width: float = parameter(description="width along u, including the circles", unit="m", low=1e-12, high=1.0)
     diameter: float = parameter(description="diameter of the circles", unit="m", low=1e-12, high=1.0)
-    lines: int = parameter(128, description="circles of a frame", low=2, high=100_000)
+    lines: int = parameter(128, description="circles per frame", low=2, high=100_000)
     turn: float = parameter(0.05, description="fraction of a frame in which the drift reverses", low=0.001, high=0.95)
     turn_law: str = parameter("minimum_jerk", description="motion profile of the reversal", choices=LAWS)
 

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A path from a file: a smooth curve through its points, closed by a way back from the last to the first point.
+"""A path from a file: a smooth curve through points; if necessary, a way back to the first point closes the path.
 
 Between the points each coordinate is a cubic spline in time. Its velocity and acceleration are continuous, also
-from one frame to the next. A path closes by itself if its last point is the first point or one step before it. Any
-other path needs a way back, which takes a given fraction of the frame. The way back is the polynomial of fifth degree
-that continues position and velocity at both ends, with zero acceleration there.
+from one frame to the next. A path closes by itself if its last point is the first point or at most two steps away from
+it. Any other path needs a way back, which takes a given fraction of the frame. The way back is the polynomial of fifth
+degree that continues position and velocity at both ends, with zero acceleration there.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from hysteresis_ros.references.waveforms.file import read_columns
 
 #: Smallest and largest number of points in a file.
 LEAST, MOST = 4, 1_000_000
-#: A path closes by itself if the distance from its last to its first point is at most this multiple of a step of the
-#: path.
+#: A path closes by itself if the distance from its last to its first point is at most this multiple of the path's
+#: largest step.
 NEAR = 2.0
 #: Points that are closer than this fraction of the size count as one.
 TOGETHER = 1e-9

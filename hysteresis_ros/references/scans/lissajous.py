@@ -50,7 +50,7 @@ class Lissajous(Scan):
 
     width: float = parameter(description="side of the rectangle along u", unit="m", low=1e-12, high=1.0)
     depth: float = parameter(description="side of the rectangle along v", unit="m", low=1e-12, high=1.0)
-    lines: int = parameter(128, description="half periods of u in a frame", low=2, high=100_000)
+    lines: int = parameter(128, description="half periods of u per frame", low=2, high=100_000)
 
     @property
     def frames_per_period(self) -> int:

@@ -60,7 +60,7 @@ class Raster(Scan):
 
     width: float = parameter(description="length of the lines", unit="m", low=1e-12, high=1.0)
     depth: float = parameter(description="distance between the first and the last line", unit="m", low=0.0, high=1.0)
-    lines: int = parameter(128, description="lines of a frame", low=2, high=100_000)
+    lines: int = parameter(128, description="lines per frame", low=2, high=100_000)
     pattern: str = parameter(
         "trace_retrace",
         description="each line forward and back; lines alternately forward and backward; or each line "
@@ -69,7 +69,7 @@ class Raster(Scan):
     )
     turn: float = parameter(
         0.2,
-        description="fraction of a pass that the turn takes; with the pattern trace, the return",
+        description="fraction of a pass that the turn takes (pattern trace: that the return takes)",
         low=0.001,
         high=0.95,
     )
@@ -129,7 +129,7 @@ class Raster(Scan):
 
     @property
     def constant_share(self) -> float:
-        """Fraction of the time of a frame in which data are taken at a constant velocity along the line."""
+        """Fraction of a frame's duration in which data are taken at a constant velocity along the line."""
         return (1.0 - self.turn) * self.lines / (self.lines + self.flyback)
 
     @property

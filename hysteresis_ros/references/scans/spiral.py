@@ -83,7 +83,7 @@ class Spiral(Scan):
             return
         most = self.turns + 0.25 - 0.5 * self.rim
         if self.law == "clv" and self.core >= most:
-            text = f"must be less than {most:g}, because the reversal at the rim takes the others"
+            text = f"must be less than {most:g}, because the reversal at the rim takes the other turns"
             yield Problem("core", self.core, text, "turns")
 
     @property

@@ -28,7 +28,7 @@ from hysteresis_ros.models.block import Block
 from hysteresis_ros.references.declaration import PREFIX, WaveformShape
 from hysteresis_ros.registry import discover
 
-#: The waveforms, by name. Other packages add theirs by an entry point: ``sinc = my_package.sinc:WAVEFORM``.
+#: The waveforms, by name. Other packages add waveforms by an entry point: ``sinc = my_package.sinc:WAVEFORM``.
 WAVEFORMS: dict[str, WaveformShape] = discover(__name__, "WAVEFORM", WaveformShape, "hysteresis_ros.waveforms")
 
 
@@ -44,7 +44,7 @@ class WaveformParameters(Parameters):
     type: str = parameter("hold", description="shape of the waveform", choices=tuple(WAVEFORMS))
     amplitude: float = parameter(0.0, description="height above the offset (peak)", unit="m", low=0.0)
     frequency: float = parameter(1.0, description="cycles per second; chirp: initial frequency", unit="Hz", low=0.0)
-    offset: float = parameter(0.0, description="added to the waveform; for hold: the value", unit="m")
+    offset: float = parameter(0.0, description="constant that is added to the waveform; hold: the value", unit="m")
     phase: float = parameter(
         0.0,
         description=f"phase at the first sample; not for {_names(lambda shape: not shape.takes_phase)}",
@@ -102,8 +102,8 @@ class Waveform(Block):
     Raises
     ------
     ParameterError
-        Parameters are wrong, a frequency reaches half the sample rate, the period of a multisine is not a whole number
-        of samples, or a file is missing or unusable.
+        Parameters are wrong, a frequency is too high for the sample rate, the period of a multisine is not a whole
+        number of samples, or a file is missing or unusable.
     """
 
     def __init__(self, parameters: WaveformParameters, sample_time: float):

@@ -229,9 +229,11 @@ def decreasing_triangle(p, x, u):
 
 
 def _number_of_cycles(parameters):
-    """Yield a Problem when the number of cycles is missing."""
+    """Yield a Problem if the number of cycles is missing."""
     if parameters.cycles < 1:
-        yield Problem("cycles", parameters.cycles, "must be ≥ 1 for decreasing_triangle: the last cycle ends at zero")
+        yield Problem(
+            "cycles", parameters.cycles, "must be ≥ 1 for decreasing_triangle, which decreases to zero over the cycles"
+        )
 
 
 DECREASING_TRIANGLE = WaveformShape(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Chirp: a sine whose frequency grows over a sweep."""
+"""Chirp: a sine whose frequency changes over a sweep."""
 
 from __future__ import annotations
 
@@ -46,12 +46,14 @@ class ChirpParameters(Parameters):
 
     final_frequency: float = parameter(description="frequency at the end of the sweep", unit="Hz", low=0.0)
     duration: float = parameter(description="time of one sweep", unit="s", low=1e-9)
-    sweep: str = parameter("linear", description="law of the increasing frequency", choices=("linear", "logarithmic"))
+    sweep: str = parameter(
+        "linear", description="how the frequency changes over the sweep", choices=("linear", "logarithmic")
+    )
 
 
 @kernel
 def chirp_linear(p, x, u):
-    """Sine whose frequency grows linearly over the sweep: turns = f0 T s + (f1 − f0) T s²/2 at the position s."""
+    """Sine whose frequency changes linearly over the sweep: turns = f0 T s + (f1 − f0) T s²/2 at the position s."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -63,7 +65,7 @@ def chirp_linear(p, x, u):
 
 @kernel
 def chirp_logarithmic(p, x, u):
-    """Sine whose frequency grows exponentially: turns = f0 T (r^s − 1)/ln r at the position s, with r = f1/f0."""
+    """Sine whose frequency changes exponentially: turns = f0 T (r^s − 1)/ln r at the position s, with r = f1/f0."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -73,7 +75,7 @@ def chirp_logarithmic(p, x, u):
 
 
 def check(parameters):
-    """Yield a Problem if the frequency cannot grow exponentially from the first to the final one."""
+    """Yield a Problem if the frequency cannot change exponentially from the first to the final one."""
     if parameters.chirp.sweep == "logarithmic":
         first, last = parameters.frequency, parameters.chirp.final_frequency
         if not (first > 0.0 and last > 0.0 and first != last):
@@ -90,7 +92,7 @@ def pack(parameters, sample_time: float) -> Packed:
     Raises
     ------
     ParameterError
-        A frequency reaches half the sample rate.
+        A frequency is above half the sample rate.
     """
     own, first, p = parameters.chirp, parameters.frequency, head(parameters)
     fastest = ("frequency", first)

@@ -76,7 +76,7 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     except (OSError, ValueError, csv.Error) as error:
         raise refused("path", path, f"cannot be read: {error}") from None
     if values.ndim != 1 or not 1 <= values.size <= LARGEST_TABLE:
-        raise refused("path", path, f"must have one column of 1 … {LARGEST_TABLE} samples, has shape {values.shape}")
+        raise refused("path", path, f"must have one column of 1 … {LARGEST_TABLE} samples; its shape is {values.shape}")
     if not np.all(np.isfinite(values)):
         row = int(np.flatnonzero(~np.isfinite(values))[0])
         raise refused("path", path, f"sample {row} is {values[row]}; all samples must be finite metres")
@@ -212,7 +212,7 @@ class FileParameters(Parameters):
     column: str = parameter("reference", description="column of the CSV (without unit) or array of the NPZ")
     sample_time: float = parameter(
         0.0,
-        description="sample time of the file, interpolated linearly; 0 = must be the generator's",
+        description="sample time of the file (linear interpolation); 0: the file has the generator's sample time",
         unit="s",
         low=0.0,
     )

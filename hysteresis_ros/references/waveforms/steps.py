@@ -34,7 +34,7 @@ class StepsParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem if times and values differ in number, times do not increase, or the period is too short."""
+        """Yield a Problem if the numbers of times and values differ, the order is wrong, or the period is too short."""
         if not self.values or len(self.values) != len(self.times):
             yield Problem(
                 "times", self.times, f"must have one time for each of the {len(self.values)} values, and at least one"
