@@ -136,7 +136,7 @@ _MODULES = {
     "inverses": "hysteresis_ros.models.inverse_classes",
     "controllers": "hysteresis_ros.control.classes",
 }
-#: Names that are not in :mod:`hysteresis_ros.api`, and their modules.
+#: Public names outside :mod:`hysteresis_ros.api`, and their modules.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
     **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),

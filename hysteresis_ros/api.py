@@ -271,14 +271,14 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
     validation : Validation
         Errors, and whether the residuals are white.
     inverse : InverseValidation or None
-        The voltage that the inverse computes from the displacement; None without an inverse.
+        Errors of the voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
         Figures by names that contain their units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``,
         ``inverse_rmse_v`` and more; None for values that are not finite. ``--json`` prints the same figures.
     warnings : tuple of str
         Warnings, one sentence each.
     recording : RecordingSummary, optional
-        Summary of the recording before the fit, as lines to print.
+        Summary of the recording, as lines to print.
     """
 
     def predict(
@@ -394,7 +394,7 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
     validation : Validation
         Errors, and whether the residuals are white.
     inverse : InverseValidation or None
-        The voltage that the inverse computes from the displacement; None without an inverse.
+        Errors of the voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
         Figures by names that contain their units, as in :class:`Compared`.
     warnings : tuple of str
@@ -407,7 +407,7 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
         How well the recording determines the frequency response; None for a model whose hysteresis contains the
         dynamics.
     recording : RecordingSummary, optional
-        Summary of the recording before the fit, as lines to print.
+        Summary of the recording, as lines to print.
     """
 
     def _named(self) -> str:
@@ -416,7 +416,7 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
 
 
 def _warned(warnings: Sequence[str]) -> str:
-    """Return the number of warnings as the end of a line."""
+    """Return the number of warnings as a text to append to a line; empty without warnings."""
     return f", {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else ""
 
 
@@ -464,7 +464,7 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
         Type, gains and model of the controller.
     margins : Margins
         Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` states whether they
-        meet the specification that every design must meet, ``margins.misses()`` lists the unmet specifications.
+        meet the specification of all designs; ``margins.misses()`` lists the unmet specifications.
     warnings : tuple of str
         Warnings, one sentence each.
     """
@@ -488,7 +488,7 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
-    """A design of learning over the periods of a scan, and the configuration that contains it.
+    """Iterative learning designed for a scan, and the configuration that contains it.
 
     Parameters
     ----------
@@ -763,7 +763,7 @@ def simulate(
         _warn(unreached(words, made.time.size, array.sample_rate))
         return made
     if each is not None:
-        raise ConfigurationError("each is for many axes: give their number as axes")
+        raise ConfigurationError("each needs axes, the number of axes")
     if scan is not None:
         configuration = with_scan(configuration, *scan_words(scan))
     if configuration.stage is not None:
@@ -796,7 +796,7 @@ def simulate(
 def _run_of_array(array: AxisArray, setpoints: ArrayLike | None, duration: float | None) -> ArrayRun:
     """Run many axes; refuse setpoints [m] that one of them would ignore."""
     samples = None if duration is None else array.parameters[0].with_duration(duration).plant_simulator.samples
-    made = array.run(setpoints, samples)  # it refuses setpoints of another shape
+    made = array.run(setpoints, samples)  # raises an error for setpoints of another shape
     if setpoints is not None:
         require_accepted("setpoints", np.asarray(setpoints, dtype=float), *array.setpoint_range.T[..., np.newaxis])
     return made
@@ -808,7 +808,7 @@ def _words(faults: Faults) -> tuple[str, ...]:
 
 
 def _warn(texts: Iterable[str]) -> None:
-    """Give Python warnings at the line that called a function of this module."""
+    """Issue Python warnings that name the line of the caller of this module."""
     for text in texts:
         warnings.warn(text, stacklevel=3)
 
@@ -958,7 +958,7 @@ def identify(
         Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``. With
         ``hr.StageColumns()`` several inputs and outputs, from one file or several, are identified as a stage.
     loops : path-like or Recording, optional
-        For a stage: a recording in which the actuators move through their ranges one after the other.
+        For a stage: a recording in which one actuator after the other moves through its range.
     into : str, path-like or Configuration, optional
         For a stage: a configuration whose simulated plants or devices are kept; the rest is taken from the result.
     linear : str, optional
@@ -1202,7 +1202,7 @@ def scan_run(
 ) -> ScanRun | None:
     """Return a recorded scan of a stage, for :func:`~hysteresis_ros.analysis.scan_report.scan_figures`.
 
-    A simulated run is also evaluated between its samples, against the undelayed path in closed form.
+    A simulated run is also evaluated between its samples, against the exact undelayed path.
 
     Parameters
     ----------
@@ -1210,8 +1210,8 @@ def scan_run(
         The complete run of a stage.
     first, last : float, optional
         Part of the run to evaluate [s]; by default all samples after the first period of the path, or after its first
-        line if the run has fewer than two periods. Samples count while all axes follow the scan, including after a stop
-        and restart of the scan.
+        line if the run has fewer than two periods. Only samples in which all axes follow the scan are included, also
+        after the scan was stopped and restarted.
 
     Returns
     -------
@@ -1253,7 +1253,7 @@ def scan_run(
         )
         moment = time + _delays_of_path(run, names, time, parameters)
         reference = np.array([run[f"{name}/reference"] for name in names])
-    # references are relative to the zero of the controllers' models
+    # the references do not include the preload offset, but the displacements do
     zeros = np.array([parameters.axes[place].motion_controller.model.preload.offset for place in places])
     displacement = displacement[places] - zeros[:, np.newaxis]
     ends = parameters.stage.scan.periods * scan.period or np.inf
@@ -1276,10 +1276,10 @@ ROUNDED = 1e-7
 
 
 def _delays_of_path(run: Recording, names: Sequence[str], time: np.ndarray, parameters: StageParameters) -> np.ndarray:
-    """Return the time on the path of a scan minus the time of the run, for each sample [s].
+    """Return, for each sample, the time on the path of a scan minus the time of the run [s].
 
-    The difference is zero until the scan is restarted, or samples are missing from the recording. NaN: the axes do not
-    follow the scan together.
+    The difference is zero until the scan restarts or a sample is missing from the recording. It is NaN where the axes
+    do not follow the scan together.
     """
     signals = [f"{name}/waveform_sample" for name in names]
     if not all(signal in run for signal in signals):

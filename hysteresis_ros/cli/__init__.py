@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The command ``hysteresis``: thin subcommands over the rest of the package.
+"""The command ``hysteresis``: thin subcommands that call the rest of the package.
 
 Module ``entry`` starts the command. ``main`` contains the table of subcommands and imports a subcommand only when it is
 called. The subcommands share ``options`` and ``progress``; ``recording`` contains those that read a recording (report,

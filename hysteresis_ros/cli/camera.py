@@ -29,7 +29,7 @@ from hysteresis_ros.cli.options import Quantity, RunFile
 @click.option("--region", metavar="X,Y,W,H", help="Evaluated region of the frames [px].")
 @click.option("--scale", metavar="M", help="Displacement of one pixel, such as 0.5um.")
 @click.option(
-    "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale, from a table of known displacements."
+    "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale, from this table of known displacements."
 )
 @click.option(
     "--target", metavar="M", help="Print the scale, from the distance of two edges in the first frame, such as 100um."
@@ -81,7 +81,7 @@ def _metres(option: str, text: str) -> float:
 
 
 def _parameters(config, namespace, calibrating, method, along, region, scale):
-    """Return the parameters of the file, changed by the options; ``calibrating``: the scale need not be given."""
+    """Return the parameters of the file, changed by the options; with ``calibrating`` the scale is optional."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.hardware.tracker import CameraParameters
 

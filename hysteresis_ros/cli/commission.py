@@ -19,7 +19,7 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Questions about missing arguments, on a terminal: the option, the question, and an example.
+#: Questions that the terminal asks for missing options: option, question and example.
 QUESTIONS = {
     "stroke": ("--stroke", "How far does the actuator move over its voltage range?", "100um"),
     "voltage": ("--voltage", "Which range of voltage may be applied?", "0:100V"),
@@ -63,7 +63,7 @@ QUESTIONS = {
 def new(file, axes, driver, options, plant, joint, **given):
     """Write FILE, a commented and safe parameter file: open loop, no inverse, small limits, slow motion.
 
-    With --axes it is the file of a stage of coupled axes: `hysteresis new stage.yaml --axes x,y --stroke 100um
+    With --axes the file describes a stage of coupled axes: `hysteresis new stage.yaml --axes x,y --stroke 100um
     --voltage 0:100V --rate 5kHz`. Missing values are asked for on a terminal. The next step is `hysteresis commission
     FILE`.
     """
@@ -203,7 +203,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
 
 
 def _given(choices, plan):
-    """Return a plan with the scan options of the command line."""
+    """Return the plan, changed by the scan options of the command line."""
     from hysteresis_ros.cli.commissioning.new_file import parsed
 
     asked = {"scan_stroke": (choices["scan_stroke"], "m"), "scan_frequency": (choices["scan_frequency"], "Hz")}

@@ -74,12 +74,12 @@ class OfflineBench(Bench):
 
 
 def run_samples(axis: AxisParameters | StageParameters) -> int:
-    """Return the length of a run in samples."""
+    """Return the number of samples of a run."""
     return (axis.axes[0] if isinstance(axis, StageParameters) else axis).plant_simulator.samples
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
-    """Return a recording of regular samples that all have a measurement; a few missing samples are interpolated."""
+    """Return the recording with all samples at regular times; interpolate a few missing samples, refuse many."""
     if recording.axes:
         sound = {}
         for name in recording.axes:
@@ -109,7 +109,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
 
 
 def _complete(recording: Recording, samples: int) -> Recording:
-    """Return a recording at regular times, with missing samples interpolated linearly."""
+    """Return the recording at regular times; interpolate missing samples linearly."""
     begin, period = recording.time[0], float(np.median(np.diff(recording.time)))
     time = begin + period * np.arange(min(samples, 1 + round((recording.time[-1] - begin) / period)))
     signals = {}
@@ -120,7 +120,7 @@ def _complete(recording: Recording, samples: int) -> Recording:
 
 
 def held_back(recording: Recording, effect: str = "increases the error during motion") -> list[str]:
-    """Return a line if voltages were late, otherwise nothing; the axes of a stage are late together."""
+    """Return a line if voltages were late, otherwise nothing; in a stage, a voltage is late for all axes."""
     if recording.axes:
         recording = recording.axis(recording.axes[0])
     count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
@@ -160,7 +160,7 @@ class GraphBench(Bench):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
             options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
             if not self._external:
-                # isolated, because a running axis of the user must not receive the commands of this graph
+                # isolated, because the user's running axis must not receive the commands of this graph
                 options["environment"] = stack.enter_context(Domain()).environment
             with Graph(axes, stage=stage, **options) as graph:
                 graph.wait()

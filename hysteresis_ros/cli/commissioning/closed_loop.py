@@ -51,10 +51,11 @@ from hysteresis_ros.units import readable
 
 #: Fraction of the stroke that is scanned by default; numbers of periods for settling and for the evaluation.
 SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
-#: Small steps in closed loop, as fractions of the stroke, with their hold and rise times [s]. They begin above the
-#: lower end of the stroke, because hysteresis prevents the stage from returning to that end.
+#: Small steps in closed loop: the levels of the first hold and of the steps, as fractions of the distance from rest to
+#: the farther end of the range; hold and rise times [s]. No step ends at rest, because hysteresis may prevent a return
+#: to it.
 FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
-#: Fraction of a hold, at its end, that is evaluated.
+#: Evaluated part of each hold: this fraction at its end.
 JUDGED_PART = 0.2
 #: Largest error at the end of a small step: relative to the predicted error, and as a fraction of the step.
 LEFT, RINGING = 6.0, 0.05
@@ -68,7 +69,7 @@ def scan_stroke(situation: Situation) -> float:
 
 
 def scan_period(situation: Situation) -> int:
-    """Return the number of samples of a triangle of the scan."""
+    """Return the number of samples in one triangle of the scan."""
     return max(round(situation.rate / situation.plan.scan_frequency), 4)
 
 
@@ -89,7 +90,7 @@ def scan_reference(situation: Situation, configuration: Configuration, unjudged:
 
 
 def _scanned(situation: Situation, configuration: Configuration) -> tuple[float, float]:
-    """Return the low end and the size of the scan [m]."""
+    """Return the low end of the scan and its peak-to-peak displacement [m]."""
     low, high = _reach(situation, configuration)
     size = scan_stroke(situation)
     if size > high - low:
@@ -263,7 +264,7 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
 
 
 def preload_offset(configuration: Configuration, namespace: str) -> float:
-    """Return the offset [m] of the measurement that the preload causes."""
+    """Return the measurement offset [m] that the preload causes."""
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
@@ -413,7 +414,7 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
 #: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
-#: Kind of learning that is designed.
+#: Designed kind of learning.
 FILTER_DESIGN = "inversion"
 
 
@@ -505,7 +506,7 @@ def _missed_lines(situation: Situation, recording: Recording, errors: np.ndarray
 
 
 def missed_line(error: float, kept: np.ndarray) -> str:
-    """Return a sentence about the error in the periods that no missed deadline has disturbed.
+    """Return a sentence about the error in the undisturbed periods, see :func:`in_time`.
 
     Units: ``error`` [m].
     """
@@ -521,7 +522,7 @@ def missed_line(error: float, kept: np.ndarray) -> str:
 
 
 def unrepeated(errors: np.ndarray) -> float:
-    """Return the RMS deviation [m] of periods from their mean; ``errors`` [m], shape (periods, samples)."""
+    """Return the RMS deviation [m] of the periods from their average; ``errors`` [m], shape (periods, samples)."""
     return float(np.sqrt(np.mean(np.var(errors, axis=0, ddof=1))))
 
 
@@ -561,6 +562,6 @@ def _period_errors(situation: Situation, recording: Recording) -> np.ndarray:
 
 
 def _by_period(situation: Situation, values: np.ndarray, unjudged: int) -> np.ndarray:
-    """Return the values of a scan in the periods for settling and the evaluated periods, shape (periods, samples)."""
+    """Return values of the scan, one row for each period (settling or evaluated), shape (periods, samples)."""
     begin, period = scan_begin(situation), scan_period(situation)
     return values[begin : begin + (unjudged + JUDGED_PERIODS) * period].reshape(-1, period)

@@ -36,15 +36,15 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, write_samples
 
-#: File of coupled axes in the folder: the identified model with its controllers; this stage predicts each run.
+#: File in the folder: the identified stage with its controllers, whose simulation predicts each run.
 DESIGNED = "designed.yaml"
 
 
 def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[str, Plan]:
     """Return the plan of each axis, from the section for all axes and the section in the namespace of the axis.
 
-    By default the cycles are as fast as in `hysteresis excite`. A range that the sections do not give must be
-    within the limits of the plant. A range in these sections replaces these limits, as for a single axis.
+    A range in these sections replaces the limits of the plant, as for a single axis; a default range must be within
+    these limits. By default the cycles are as fast as in `hysteresis excite`.
     """
     found = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
@@ -67,7 +67,7 @@ def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[
 
 
 def within_plant(plan: Plan, axis: AxisParameters) -> bool:
-    """Return whether a plan is within the limits of the plant; otherwise the plan replaces these limits."""
+    """Return whether the range of a plan is within the limits of the plant; a plan may exceed these limits."""
     limits = axis.plant_simulator.limits
     return limits.minimum <= plan.minimum and plan.maximum <= limits.maximum
 
@@ -119,12 +119,12 @@ class StageSituation:
     def within(self) -> Configuration:
         """Return the configuration with the ranges of the plans; each axis holds the middle of its allowed motion.
 
-        If an axis leaves its range of motion by half a stroke, all axes are stopped.
+        An axis that leaves its range of motion by half a stroke stops all axes.
         """
         entries: list[tuple[str, dict]] = []
         for name, axis in zip(self.names, self.parameters.axes, strict=True):
             plan, given = self.plans[name], axis.hysteresis_compensator
-            # a new file of a stage has the limits of manual commands, which the plan exceeds
+            # a new file contains the narrow limits of manual commands, which the plan exceeds
             slew = plan.amplifier or (axis.plant_simulator.limits.slew_rate if within_plant(plan, axis) else 0.0)
             values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": slew}
             limits = replace(given.limits, minimum=plan.minimum, maximum=plan.maximum)
@@ -144,7 +144,7 @@ class StageSituation:
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 
     def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
-        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just beyond these."""
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just outside them."""
         ranges = []
         for name, volts in zip(self.names, voltages.T, strict=True):
             plan = self.plans[name]
@@ -153,7 +153,7 @@ class StageSituation:
         return played_stage(self.within(), voltages, self.folder.path / "waveforms" / stage, ranges)
 
     def in_turn(self, voltages: Callable[[Plan, float, float], np.ndarray]) -> tuple[np.ndarray, dict[str, slice]]:
-        """Return voltages [V], shape (N, n), of one axis after the other, and the samples in which each axis moves."""
+        """Return voltages [V], shape (N, n), that move one axis after the other, and the samples of each axis."""
         parts, spans, count = [], {}, 0
         for place, name in enumerate(self.names):
             own = voltages(self.plans[name], self.safe[place], self.rate)
@@ -165,7 +165,7 @@ class StageSituation:
         return np.concatenate(parts), spans
 
     def resting(self, seconds: float) -> np.ndarray:
-        """Return the safe voltages for some time [V], shape (N, n)."""
+        """Return voltages [V], shape (N, n), that stay at the safe voltages for some time."""
         return np.array([hold(level, seconds, self.rate) for level in self.safe]).T
 
     def closed(self, configuration: Configuration, stage: str, references: np.ndarray) -> StageParameters:
@@ -186,7 +186,7 @@ class StageSituation:
 
 
 def part_of(recording: Recording, span: slice) -> Recording:
-    """Return some samples of a recording."""
+    """Return a span of the samples of a recording."""
     signals = {name: values[span] for name, values in recording.signals.items()}
     return Recording(recording.time[span], signals, recording.units, recording.metadata)
 
@@ -197,7 +197,7 @@ def each_axis(
     judge: Callable[[Situation, Recording], Outcome],
     spans: Mapping[str, slice] | None = None,
 ) -> Outcome:
-    """Check each axis like a single axis, in the samples in which it moves."""
+    """Check each axis like a single axis, in its span of samples (by default all samples)."""
     lines, figures, pictures = [], {}, []
     for name in situation.names:
         own = recording.axis(name)
@@ -212,5 +212,5 @@ def each_axis(
 
 
 def columns_of(situation: StageSituation, recording: Recording, signal: str) -> np.ndarray:
-    """Return a signal of all axes, shape (N, n)."""
+    """Return one signal of all axes, shape (N, n)."""
     return np.column_stack([recording[f"{name}/{signal}"] for name in situation.names])

@@ -50,9 +50,9 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import hold, way
 from hysteresis_ros.units import readable
 
-#: Largest motion of an axis that should hold its position, as a fraction of the step of the moving axis.
+#: Largest motion of a holding axis, as a fraction of the step of the moving axis.
 DISTURBED = 0.25
-#: Peak of the noise of an axis that holds its position, relative to its RMS.
+#: Peak of the noise of a holding axis, relative to the RMS of this noise.
 NOISE_PEAK = 5.0
 #: A motion below this fraction of the noise cannot be distinguished from the noise.
 BURIED = 0.2
@@ -71,11 +71,11 @@ class Excursion:
 
 @dataclass(frozen=True)
 class Range:
-    """Motion of an axis in closed loop [m]."""
+    """Range of the reference of an axis in closed loop [m]."""
 
     low: float
     high: float
-    rest: float  #: Reference at the safe voltages; it may be outside the range.
+    rest: float  #: Reference at the safe voltages; may be outside the range.
 
     @property
     def far(self) -> float:
@@ -84,17 +84,17 @@ class Range:
 
 
 def designed(situation: StageSituation) -> Configuration:
-    """Return the identified stage with its controllers; this stage predicts each run."""
+    """Return the identified stage with its controllers, whose simulation predicts each run."""
     situation.figures("design")
     return load_configuration(situation.folder.path / DESIGNED)
 
 
 def ranges(situation: StageSituation) -> dict[str, Range]:
-    """Return the range of each axis."""
+    """Return the range of each axis by its name."""
     parameters = StageParameters.from_configuration(designed(situation))
     found = {}
-    # the references at which the inverses give the safe voltages: any other reference would begin with a step of the
-    # voltage
+    # the references that correspond to the safe voltages: a run from any other reference would begin with a voltage
+    # step
     resting = [
         hysteresis_block(axis.hysteresis_compensator.hysteresis, 1.0 / situation.rate).simulate(np.array([safe]))[0]
         for axis, safe in zip(parameters.axes, situation.safe, strict=True)
@@ -109,7 +109,7 @@ def ranges(situation: StageSituation) -> dict[str, Range]:
 def in_turn(
     situation: StageSituation, base: Callable[[Range], float], own: Callable[[str, Range, float], np.ndarray]
 ) -> Excursion:
-    """Return references: all axes to their bases, then one after the other along its own path, then all back."""
+    """Return references: all axes move to their bases, each axis in turn follows its own path, then all move back."""
     found, rate, spans = ranges(situation), situation.rate, {}
     places = {name: base(one) for name, one in found.items()}
 
@@ -173,9 +173,9 @@ def loop_stage(situation: StageSituation) -> StageParameters:
 
 
 def coupling_verdict(moved: float, model: float, noise: float) -> str:
-    """Return a text that compares the motion of an axis that should hold its position with its prediction [m].
+    """Return a text that compares the motion [m] of a holding axis with its prediction.
 
-    A motion below the noise of this axis is as predicted.
+    A motion below the noise of this axis counts as predicted.
     """
     if moved <= max(ERROR_AS_PREDICTED * model, noise):
         return "as predicted"
@@ -225,7 +225,7 @@ def judge_loop(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def _tracking(situation: StageSituation, caption: str, recording: Recording, errors, span: slice) -> Picture:
-    """Return the picture of references and measurements of all axes in a span of a run."""
+    """Return a plot of the references and measurements of all axes in a span of a run."""
     time, traces = recording.time[span] - recording.time[span.start], []
     for name in situation.names:
         reference = recording[f"{name}/reference"][span]
@@ -235,7 +235,7 @@ def _tracking(situation: StageSituation, caption: str, recording: Recording, err
 
 
 def scan_size(situation: StageSituation, name: str, one: Range) -> float:
-    """Return the displacement of the scan of an axis from peak to peak [m]."""
+    """Return the peak-to-peak displacement of the scan of an axis [m]."""
     size = situation.plans[name].scan_stroke or SCANNED * (one.high - one.low)
     if size > one.high - one.low:
         raise CommissioningError(
@@ -246,12 +246,12 @@ def scan_size(situation: StageSituation, name: str, one: Range) -> float:
 
 
 def scan_period(situation: StageSituation) -> int:
-    """Return the samples of a triangle of the scan."""
+    """Return the number of samples in one triangle of the scan."""
     return max(round(situation.rate / next(iter(situation.plans.values())).scan_frequency), 8)
 
 
 def scans(situation: StageSituation) -> Excursion:
-    """Return triangles of one axis after the other, about the middle of its range."""
+    """Return triangles on one axis after the other, each around the middle of the axis' range."""
     period, rate = scan_period(situation), situation.rate
 
     def own(name: str, one: Range, place: float) -> np.ndarray:
@@ -320,7 +320,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def together(situation: StageSituation) -> tuple[np.ndarray, slice]:
-    """Return simultaneous sines with a different frequency on each axis, shape (N, n) [m], and the evaluated samples.
+    """Return simultaneous sines [m], shape (N, n), one frequency for each axis, and the evaluated samples.
 
     Frequencies are 1, 1.5, 2 … times the frequency of the scan, so the path repeats after two periods of the scan.
     """

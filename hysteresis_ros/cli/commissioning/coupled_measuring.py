@@ -42,11 +42,11 @@ from hysteresis_ros.units import readable
 
 #: Small multisine of an axis: samples of a period, and number of periods, the first of which is only for settling.
 SMALL_PERIOD, SMALL_PERIODS = 8000, 5
-#: An actuator that moves another sensor this many times as far as its own sensor is connected wrongly.
+#: Ratio of the motions of another sensor and of the actuator's own sensor above which the actuator counts as miswired.
 MISTAKEN = 2.0
-#: Largest predicted motion of the multisine of the identification about its mean, as a fraction of the stroke.
+#: Largest predicted motion about its mean during the identification multisine, as a fraction of the stroke.
 SWING = 0.25
-#: Largest ratio of the noise in the response to the response.
+#: Largest ratio of noise to response.
 NOISY = 0.5
 
 
@@ -67,7 +67,7 @@ def judge_noise(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def gain_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage with a small step of one axis after the other."""
+    """Return the stage, configured for a small step of one axis after the other."""
     return situation.driven("gain", situation.in_turn(volts.small_step)[0])
 
 
@@ -130,7 +130,7 @@ def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def resonance_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage with a small multisine of one axis after the other."""
+    """Return the stage, configured for a small multisine on one axis after the other."""
     return situation.driven("resonance", situation.in_turn(small_multisine)[0])
 
 
@@ -141,7 +141,7 @@ def judge_resonance(situation: StageSituation, recording: Recording) -> Outcome:
     steady = slice(first, first + (SMALL_PERIODS - 1) * SMALL_PERIOD)
 
     def judge(one: Situation, own: Recording) -> Outcome:
-        # creep at the new position is not part of the response
+        # creep after the move to the middle is not part of the response
         measured = without_drift(own["measured"][np.newaxis, steady, np.newaxis], SMALL_PERIOD)[0, :, 0]
         found = volts.response_outcome(own["voltage"][steady], measured, one.rate, SMALL_PERIOD)
         swing = {"swing_m": float(np.max(np.abs(measured - measured.mean())))}
@@ -151,13 +151,13 @@ def judge_resonance(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def predicted_swings(situation: StageSituation, amplitude: float) -> dict[str, float]:
-    """Return how far the multisine of the identification moves each axis about its mean [m]."""
+    """Return the predicted motion [m] of each axis about its mean during the identification multisine."""
     small = situation.figures("resonance")
     return {name: amplitude * SMALL / plan.small * small[name]["swing_m"] for name, plan in situation.plans.items()}
 
 
 def identification_excitation(situation: StageSituation) -> StageExcitation:
-    """Return the excitation of the identification, reduced if the small multisines predict too large a motion."""
+    """Return the identification excitation, reduced if the small multisines predict too large a motion."""
     whole = predicted_swings(situation, 1.0)
     level = min(1.0, *(SWING * situation.plans[name].stroke / swing for name, swing in whole.items()))
     return StageExcitation(amplitude=float(f"{level:.3g}"), rests=situation.safe)
@@ -170,7 +170,7 @@ def multisine_stage(situation: StageSituation) -> StageParameters:
 
 
 def reading_of(recording: Recording, source: str) -> StageReading:
-    """Return the voltages and measurements of a recording for an identification."""
+    """Return the voltages and measurements of a recording, ready for identification."""
     found = read_stage(recording)
     return StageReading(found.inputs, found.outputs, found.runs, found.sample_time, source, found.axes)
 

@@ -41,7 +41,7 @@ SAMPLES_A_CYCLE = 100
 #: Largest number of other models with which controllers are checked, and largest error of these models on held-out
 #: blocks, relative to the error of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
-#: Other models that are used when no compared model has a similar error.
+#: Other models with which controllers are checked if no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
 #: Stages that move in open loop, before the design.
 MOVED = ("gain", "resonance", "hysteresis", "creep")
@@ -56,9 +56,9 @@ OWN = {
 
 
 def slow_data(situation: Situation) -> IdentificationData:
-    """Return the data of the decaying cycles, then of the creep, with neighbouring samples averaged.
+    """Return the data of the decaying cycles followed by the creep, averaged over blocks of samples.
 
-    If a resonance shows that there is no slow lag, the measurement is shifted to earlier times by the identified delay.
+    If the stage has a resonance and thus no slow lag, the measurement is advanced by the identified delay.
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
@@ -72,7 +72,7 @@ def slow_data(situation: Situation) -> IdentificationData:
 
 
 def _is_quick(situation: Situation) -> bool:
-    """Return whether a resonance is the slowest dynamics of the stage; otherwise the stage has a slower lag."""
+    """Return whether the stage has a resonance; otherwise a slower lag dominates its dynamics."""
     return "resonance_hz" in situation.found["resonance"].figures
 
 
@@ -152,7 +152,7 @@ def _other_file(situation: Situation, name: str):
 
 
 def _loops(found: Identified) -> list[Picture]:
-    # before this sample the history is unknown
+    # before this sample the hysteresis depends on an unknown history
     known = slice(found.validation.skipped, None)
     voltage, measured, modelled = found.data.input[known], found.data.output[known], found.predicted[known]
     both = [line("measured", voltage, MICRO * measured), line("model", voltage, MICRO * modelled)]
@@ -176,7 +176,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
             own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
-        # here the limits of motion are computed from all recordings, in the identified file only from some of them
+        # the limits of motion in the identified file are from some recordings only; here they are computed from all
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/reference_generator"] |= _used_range(
@@ -196,7 +196,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
 
 
 def _used_range(compensator: dict, rate: float) -> dict[str, float]:
-    """Return the range of the reference [m]: the middle part of what the actuator reaches repeatedly.
+    """Return the range of the reference [m]: the middle part of the range that the actuator reaches repeatedly.
 
     Units: ``rate`` [Hz].
     """
@@ -255,7 +255,7 @@ def design_stage(situation: Situation) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A tried design, with the file of its axis and the RMS error [m] of the scan on the worst plant."""
+    """A candidate design, with the file of its axis and the RMS error [m] of the scan on the worst plant."""
 
     words: str
     design: AxisDesign

@@ -92,23 +92,24 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
 NOISY, FAR_AWAY = 0.02, 20.0
 #: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest factor between measured and expected gain, and largest movement after a small step, as a fraction of the
-#: step.
+#: Largest ratio between measured and expected gain (either way), and largest movement after a small step, as a fraction
+#: of the step.
 EXPECTED, RINGING = 3.0, 0.25
-#: Uncertainty of the fit of a resonance, as a fraction of the power of its lines, at which no more lines are averaged.
+#: Relative uncertainty of a resonance fit, as a fraction of the power of its lines, below which averaging stops.
 CERTAIN = 0.02
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
 #: Delay and gain are determined from at least this number of the lowest frequencies of a response; the gain from the
 #: lines up to this fraction of the resonance frequency.
 LOW_LINES, FAR_BELOW = 20, 0.1
-#: Largest fraction of the samples within the noise around the extreme reading; with more, the sensor counts as clipped.
+#: Largest fraction of the samples that lie within the noise of the extreme reading; above it, the sensor counts as
+#: clipped.
 CLIPPED = 0.03
 MICRO = 1e6
 
 
 def _name_unit(value: float, expected: float) -> str:
-    """Return a remark if a factor suggests a wrong unit."""
+    """Return a remark if the ratio of a value to its expected value suggests a wrong unit."""
     factor = abs(value / expected)
     for power in (1e3, 1e6, 1e9):
         for ratio in (power, 1.0 / power):
@@ -219,7 +220,7 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
     Units: ``voltage`` [V], ``measured`` [m], ``rate`` [Hz], ``period`` [samples].
     """
     whole = multisine_response(voltage, measured, 1.0 / rate, period)
-    # above this frequency the voltage contains only noise and the effects of limits
+    # above EXCITED times the sample rate, the voltage contains only noise and distortion by limits
     found = whole.band(whole.frequency[0], EXCITED * rate)
     size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
     if np.median(noise / size) > 0.5:
@@ -228,7 +229,7 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
             "the sensor"
         )
     peak = int(np.argmax(size))
-    # far below a resonance, but from more than a few of the lowest lines, because drift and creep add to these lines
+    # far below a resonance, but at least LOW_LINES lines, because drift and creep add to the lowest ones
     low = max(int(np.searchsorted(found.frequency, FAR_BELOW * found.frequency[peak])), LOW_LINES)
     gain = float(np.median(size[:low]))
     figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
@@ -255,9 +256,9 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
 def _resonance(found: FrequencyResponse) -> tuple[float, float]:
     """Return frequency [Hz] and damping ratio of the highest peak.
 
-    The lines of a stage with hysteresis scatter by far more than the noise, and a single line may be higher than the
-    peak. Neighbouring lines are averaged to find the half-power band; their number doubles until the fit in this band
-    is certain.
+    Hysteresis scatters the lines by far more than the noise, so a single line may exceed the peak. Averages over
+    neighbouring lines locate the half-power band; the number of averaged lines doubles until the fit in this band is
+    certain.
     """
     power, square, width = np.abs(found.single) ** 2, (2.0 * np.pi * found.frequency) ** 2, 1
     frequency, damping, uncertainty = float(found.frequency[np.argmax(power)]), 0.0, np.inf
@@ -265,17 +266,18 @@ def _resonance(found: FrequencyResponse) -> tuple[float, float]:
         kernel = np.ones(width)
         mean = np.convolve(power, kernel, "same") / np.convolve(np.ones(power.size), kernel, "same")
         peak = int(np.argmax(mean))
-        # the fit uses the half-power band, because noise determines the curvature of a few lines at the flat top
+        # the fit uses the whole half-power band, because noise would dominate the curvature of a few lines at the flat
+        # top
         low, high = np.flatnonzero(mean[:peak] < 0.5 * mean[peak]), np.flatnonzero(mean[peak:] < 0.5 * mean[peak])
         first, last = (low[-1] if low.size else 0), (peak + high[0] if high.size else power.size)
         near = slice(max(min(first, peak - 3), 0), max(last + 1, peak + 4))
-        # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola in ω²; the uncertainty of a value is proportional to it
+        # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola in ω²; the uncertainty is proportional to the value
         curve = np.polyfit(square[near], 1.0 / power[near], 2, w=power[near])
         centre = -0.5 * curve[1] / curve[0]
         least = np.polyval(curve, centre) / curve[0]
         if centre > 0.0 and least > 0.0:
             scatter = 1.0 - np.polyval(curve, square[near]) * power[near]
-            # the RMS of the scatter, divided by the square root of the number of lines
+            # the standard error: RMS of the scatter, divided by the square root of the number of lines
             if np.linalg.norm(scatter) / scatter.size < uncertainty:
                 uncertainty = np.linalg.norm(scatter) / scatter.size
                 frequency, damping = float(np.sqrt(centre) / (2.0 * np.pi)), float(0.5 * np.sqrt(least) / centre)
@@ -284,7 +286,7 @@ def _resonance(found: FrequencyResponse) -> tuple[float, float]:
 
 
 def _delay(found: FrequencyResponse, peak: int) -> float:
-    """Return the delay from the slope of the phase far below the highest peak [s]."""
+    """Return the delay [s] from the slope of the phase well below the highest peak."""
     low = found.frequency < 0.4 * found.frequency[peak]
     if np.count_nonzero(low) < LOW_LINES:
         low = found.frequency <= found.frequency[LOW_LINES]

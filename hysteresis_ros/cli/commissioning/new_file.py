@@ -27,7 +27,7 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.units import quantity_in, readable
 
-#: Plausible strokes [m], gains [m/V] and sample rates [Hz]; other values usually come from a wrong unit.
+#: Plausible strokes [m], gains [m/V] and sample rates [Hz]; values outside usually come from a wrong unit.
 STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (5.0, 1e6)
 #: Fraction of the voltage range that an unknown axis may use, and fraction of the slew rate that a setpoint may use.
 FIRST_PART = 0.1
@@ -118,7 +118,7 @@ class NewAxis:
 
 
 def parsed(option: str, text: str, unit: str) -> float:
-    """Return a quantity in SI."""
+    """Return the SI value of a quantity."""
     try:
         return quantity_in(text, unit)
     except ValueError as error:

@@ -52,7 +52,7 @@ class Outcome:
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> Outcome:
-        """Return the outcome from a mapping that :func:`dataclasses.asdict` has made of an outcome."""
+        """Return the outcome from a mapping that :func:`dataclasses.asdict` made."""
         lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
         if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
             raise TypeError("an outcome with values of other types")
@@ -64,11 +64,11 @@ class Outcome:
 
 
 def verdict(ratio: float, most: float) -> str:
-    """Return a text that compares a ratio of result to prediction with its limit."""
+    """Return a text that compares the ratio of a result to its prediction with a limit."""
     return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"
 
 
-#: Section of the parameter file.
+#: Section of the parameter file with the plan.
 SECTION = "/commissioning"
 
 
@@ -120,7 +120,7 @@ class Plan(Parameters):
 
     @property
     def span(self) -> float:
-        """Width of the range [V]."""
+        """Width of the voltage range [V]."""
         return self.maximum - self.minimum
 
     @property
@@ -246,10 +246,10 @@ class Folder:
         return load_run(path)
 
 
-#: Fraction of the stroke by which sensor readings may exceed the displacements that are expected in a stage.
+#: Fraction of the stroke by which sensor readings may exceed the expected displacements.
 OVERTRAVEL = 0.5
-#: Half width of the voltage limits in a stage without movement, as a fraction of the range; with 0, the range would be
-#: empty.
+#: Margin of the voltage limits around the voltages of a stage, as a fraction of the range; without it, the limits of a
+#: stage without movement would be an empty range.
 NOTHING = 1e-4
 
 
@@ -263,7 +263,7 @@ class Situation:
     folder: Folder
     model: str = "auto"  #: model, controller: Model to identify and controller to design, or ``auto``.
     controller: str = "auto"
-    #: Other models of the axis with which a controller must work too; by default the models with almost the same error.
+    #: Other models of the axis that a controller must tolerate; by default the models with almost the same error.
     against: tuple[str, ...] | None = None
     #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
@@ -286,7 +286,7 @@ class Situation:
         return self.found[stage].figures[name]
 
     def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
-        """Return the axis that outputs voltages in open loop, with limits just outside the range of these voltages.
+        """Return the axis that outputs voltages in open loop, with limits just outside them.
 
         Units: ``voltages`` [V].
         """
@@ -300,20 +300,20 @@ class Situation:
             configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
             configuration = configuration.override("plant_simulator", **self._watched())
-        # the reference of the file may be out of reach within these limits; driven() replaces it
+        # the reference of the file may be out of range with these limits; driven() replaces it
         given = self.axis.hysteresis_compensator.limits
         limits = replace(given, minimum=low, maximum=high, slew_rate=self.plan.amplifier)
         block = hysteresis_block(self.axis.hysteresis_compensator.hysteresis, 1.0 / self.rate)
         path = write_samples(self.folder.path / "waveforms" / f"{stage}.npz", voltages * block.gain, self.rate)
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference"}
-        # the voltages are absolute, and the setpoint is not 0 if the limits exclude 0 V
+        # the waveform is added to the setpoint, which is not 0 if the limits exclude 0 V; the voltages are absolute
         setpoint = min(max(0.0, block.gain * limits.minimum), block.gain * limits.maximum)
         configuration = driven(configuration, limits, block.gain, waveform | {"offset": -setpoint})
         found = single_axis(configuration, self.axis.namespace)
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
-        """Return parameters with which the travel monitor of a device is valid, for any model in the file."""
+        """Return parameters that make the travel monitor of a device valid for any model in the file."""
         # the range of plausible measurements follows from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}

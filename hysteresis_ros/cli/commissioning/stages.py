@@ -34,7 +34,7 @@ class Stage:
     """A stage that moves the axis, or the coupled axes."""
 
     title: str  #: Title on the page.
-    words: Callable[[Any], str]  #: ``words(situation)``: description of the next movement and of its size.
+    words: Callable[[Any], str]  #: ``words(situation)``: description of the next movement, with its size.
     #: ``axis(situation)``: the axis or the coupled axes to run; or an outcome, if nothing has to move.
     axis: Callable[[Any], AxisParameters | StageParameters | Outcome]
     #: ``judge(situation, recording)``: the outcome; raises an error when a result is implausible.
@@ -212,7 +212,7 @@ def _done(situation, bench: Bench, attendant: Attendant, name: str, stage: Stage
 
 
 def _named(error: HysteresisError, text: str) -> CommissioningError:
-    """Return an error that adds the stage to another error, with the same exit code."""
+    """Return an error with this text and the exit code of another error."""
     named = CommissioningError(text)
     named.exit_code = getattr(error, "exit_code", 2)
     return named
