@@ -756,7 +756,7 @@ def simulate(
     if axes is not None:
         if requests is not None or speeds is not None or scan is not None or isinstance(setpoints, Mapping):
             raise ConfigurationError(
-                "axes: requests, speeds, a scan and setpoints by names are not for many axes: leave them out"
+                "requests, speeds, a scan and setpoints by names are for a single run: leave them out, or omit axes"
             )
         array = AxisArray(_parameters_of_array(configuration, axes, each, words, namespace), threads)
         made = _run_of_array(array, setpoints, duration)
@@ -996,7 +996,7 @@ def identify(
         known = StageRequest.__dataclass_fields__
         unknown = [name for name in options or {} if name not in known]
         if unknown:
-            raise HysteresisError(f"{', '.join(unknown)}: no such option of a stage; there are {', '.join(known)}")
+            raise HysteresisError(f"{', '.join(unknown)}: no such option of a stage; choose from {', '.join(known)}")
         request = StageRequest(**{"progress": progress, **(options or {})})
         if model != USUAL:
             request = replace(request, model=model)
@@ -1005,7 +1005,7 @@ def identify(
         turns = None if loops is None else read_stage(loops, columns)
         return identify_stage(stage, realisations(stage, columns), request, turns, base)
     if loops is not None or into is not None:
-        raise HysteresisError("loops and into are for a stage: give columns=hr.StageColumns() with them")
+        raise HysteresisError("loops and into are for a stage: leave them out, or add columns=hr.StageColumns()")
     reading = read_data(source, columns)
     found = workflow.identify(
         reading, model, linear=linear, options=options, inverse=inverse, progress=progress, **conditions

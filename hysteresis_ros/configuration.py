@@ -318,7 +318,7 @@ class Parameters:
     def _valid(self):
         """Return self, marked as free of problems.
 
-        The object is immutable, so the mark remains valid; the mark makes parameter changes at run time fast. Groups
+        The object is immutable, so the mark remains valid. It makes parameter changes at run time fast. Groups
         that are not in use have not been checked.
         """
         for item in fields(self):
@@ -555,7 +555,7 @@ def matches(pattern: str, full_name: str) -> bool:
 
 
 def _covers(pattern: str, other: str) -> bool:
-    """Return whether a pattern that :meth:`Configuration.override` makes matches all nodes that another one matches."""
+    """Return whether a pattern of :meth:`Configuration.override` matches all nodes that another pattern matches."""
     return pattern.startswith("/**") and f"/{other.lstrip('/')}".endswith(pattern.removeprefix("/**"))
 
 

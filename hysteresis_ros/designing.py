@@ -167,7 +167,7 @@ def design_learning(
     maximum: float | None = None,
     namespace: str | None = None,
 ) -> DesignedLearning:
-    """Design learning over the periods of a scan, for the controller and the model of a configuration.
+    """Design iterative learning for the periods of a scan, with the controller and the model of a configuration.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a random plant close to the configured plant: gain, loop width, creep and time constants vary.
+    """Return a random plant close to the configured plant: gain, loop width, creep and time constants vary.
 
     Parameters
     ----------

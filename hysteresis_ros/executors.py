@@ -9,7 +9,7 @@
 
 """Run jobs in parallel: in processes on this machine, or on the workers of a Dask cluster.
 
-Each result arrives when its job ends, with the number of the job, so that no result depends on the order of execution.
+Each result arrives with the number of its job as soon as the job ends, so no result depends on the order of execution.
 A worker process exits when the process that started it exits. Another worker repeats the jobs of a lost worker; an
 error is raised when no worker is left or the scheduler no longer answers.
 """
@@ -39,7 +39,7 @@ from hysteresis_ros.errors import HysteresisError
 
 #: Number of jobs queued for each process, so that no process is idle while a result is handled.
 AHEAD = 2
-#: Interval at which the executor is checked while no result arrives [s].
+#: Interval between checks of the executor while no result arrives [s].
 LOOK = 1.0
 
 
@@ -218,7 +218,7 @@ def _alone() -> Iterator[None]:
     so the script needs no ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit the mask
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the processes inherit the signal mask
     given = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     sys.modules["__main__"] = types.ModuleType("__main__")
@@ -248,7 +248,7 @@ def _follow(sentinel: int) -> None:
 
 #: Time-out for an answer of the scheduler, and for a new worker after the last one is lost [s].
 CONNECT, PATIENCE = 10.0, 60.0
-#: Number of workers that may be lost during one job before the job counts as the cause.
+#: Number of lost workers after which their common job counts as the cause.
 LOSSES = 10
 EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'
 

@@ -84,7 +84,11 @@ SIGNALS = (
         "saturated", "1", COMPENSATOR, "1: range or slew rate limits the voltage", _at(COMPENSATOR, name="saturated")
     ),
     Signal(
-        "seen", "m", CONTROLLER, "measurement that the controller used, NaN: none", _at(CONTROLLER, name="measured")
+        "seen",
+        "m",
+        CONTROLLER,
+        "measurement that the controller used; NaN: no measurement",
+        _at(CONTROLLER, name="measured"),
     ),
     Signal("source_mode", "1", SOURCE, "mode of the reference generator", _at(SOURCE, MOTOR_SOURCE, name="mode")),
     Signal("controller_mode", "1", CONTROLLER, "mode of the controller", _at(CONTROLLER, name="mode")),
@@ -99,7 +103,7 @@ SIGNALS = (
         "adaptation",
         "1",
         COMPENSATOR,
-        "state of the adaptation, 0: no adaptation",
+        "state of the adaptation; 0: no adaptation",
         _at(COMPENSATOR, name="adaptation"),
     ),
     Signal(
@@ -109,26 +113,26 @@ SIGNALS = (
         "gain of the inverse, relative to the identified one",
         _at(COMPENSATOR, name="adapted_gain"),
     ),
-    Signal("force", "N", PLANT, "measured force in the stack, NaN: no force sensor", _at(PLANT, name="force")),
+    Signal("force", "N", PLANT, "measured force in the stack; NaN: no force sensor", _at(PLANT, name="force")),
     Signal(
         "waveform_sample",
         "1",
         SOURCE,
-        "samples since the waveform began, -1: it does not run",
+        "number of samples since the waveform began; -1: no waveform runs",
         _at(SOURCE, MOTOR_SOURCE, name="waveform_sample"),
     ),
     Signal(
         "scan_edges",
         "1",
         SOURCE,
-        "edges of a scan: a frame (1), a line (2) or a pixel (4) begins at this sample; their sum",
+        "sum of the edges of a scan at this sample: a frame (1), a line (2) or a pixel (4) begins",
         _at(SOURCE, MOTOR_SOURCE, name="scan_edges"),
     ),
     Signal(
         "trigger",
         "1",
         SOURCE,
-        "number of the trigger of this sample, 0: none",
+        "number of the trigger in this sample; 0: no trigger",
         _at(SOURCE, MOTOR_SOURCE, name="trigger"),
     ),
     Signal(
@@ -142,7 +146,7 @@ SIGNALS = (
         "trigger_direction",
         "1",
         SOURCE,
-        "direction of motion at the trigger, 1: up, -1: down",
+        "direction of motion at the trigger; 1: up, -1: down",
         _at(SOURCE, MOTOR_SOURCE, name="trigger_direction"),
     ),
     Signal(
@@ -156,7 +160,7 @@ SIGNALS = (
         "trigger_in",
         "1",
         USER,
-        "pulses of the trigger input that this sample takes",
+        "number of pulses of the trigger input at this sample",
         _at(SOURCE, MOTOR_SOURCE, name="trigger_in"),
     ),
     _sequencer("origin", "m", "offset that the controller subtracts from the measurement", topic="origin"),
@@ -167,13 +171,13 @@ SIGNALS = (
     _motor("front_force", "N", "normal force of the front clamp"),
     _motor("rear_force", "N", "normal force of the rear clamp"),
     _sequencer("phase", "1", "phase of the gait"),
-    _sequencer("steps", "1", "steps so far, forward minus backward"),
+    _sequencer("steps", "1", "number of steps so far, forward minus backward"),
     _sequencer("direction", "1", "direction of motion"),
     _sequencer("slip", "m", "slip of the last step"),
     _sequencer("error", "1", "error code"),
     _sequencer("arrived", "1", "1: at the setpoint within the tolerance"),
-    _sequencer("total_steps", "1", "steps so far"),
-    _sequencer("missed", "1", "missed steps so far"),
+    _sequencer("total_steps", "1", "number of steps so far"),
+    _sequencer("missed", "1", "number of missed steps so far"),
     _sequencer("step_commanded", "m", "commanded length of the last step"),
     _sequencer("step_achieved", "m", "achieved length of the last step"),
     Signal("request", "1", USER, "request to the sequencer", _at(MOTOR_SOURCE, name="request"), motor=True),
@@ -293,7 +297,7 @@ TRIGGER_SIGNALS = tuple(signal.name for signal in SIGNALS[TRIGGER : TRIGGER_DELA
 COLUMNS = tuple(signal.name for signal in SIGNALS[: ESTIMATED + 1])
 MOTOR_COLUMNS = tuple(signal.name for signal in SIGNALS[ORIGIN : STEP_ACHIEVED + 1])
 
-#: Signal → the signal used in its place when a recording lacks it.
+#: Signal → its substitute if a recording lacks it.
 SUBSTITUTES = {"voltage": "plant_voltage", "measured": "seen"}
 
 #: The nodes of an axis that write signals, in the order in which a sample passes through them.
@@ -312,7 +316,7 @@ REQUESTS = ("request", "speed")
 
 @dataclass(frozen=True)
 class AxisKind:
-    """Differences between the axes of an actuator and of an inchworm motor: nodes, row, topics and inputs."""
+    """Nodes, row, topics and inputs of an axis, which differ between an actuator and an inchworm motor."""
 
     source: str  #: Node that writes the reference.
     row: tuple[Signal, ...]  #: Signals of a row, in order.

@@ -144,7 +144,7 @@ def quantity_in(text: str, unit: str) -> float:
     value, given = quantity(text)
     if not given and unit == "m" and value != 0.0:
         bare = text.strip()
-        # the two units that bring the number closest to a typical displacement, 10 µm
+        # the two units with which the number is closest to a typical displacement, 10 µm
         likely = sorted(("m", "mm", "um", "nm"), key=lambda name: abs(math.log10(abs(value) / UNITS[name][1] / 1e-5)))
         raise ValueError(f"of which unit? Write {bare}{likely[0]} or {bare}{likely[1]}")
     if given not in ("", unit.translate(_POWERS) or "1"):

@@ -32,7 +32,9 @@ from hysteresis_ros.cli.options import Quantity, RunFile
     "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale, from this table of known displacements."
 )
 @click.option(
-    "--target", metavar="M", help="Print the scale, from the distance of two edges in the first frame, such as 100um."
+    "--target",
+    metavar="M",
+    help="Print the scale, from this distance between two edges of the first frame, such as 100um.",
 )
 def camera(frames, output, config, namespace, rate, known, target, **options):
     """Find the tip in FRAMES, a video or a folder of pictures, and write its displacement (measured, in m).

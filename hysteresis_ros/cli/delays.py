@@ -30,9 +30,9 @@ from hysteresis_ros.loop.pacing import Lateness
 
 #: Rate of the loop [Hz], and duration of a run [s].
 RATE, SECONDS = 3e3, 0.5
-#: Rate [Hz] and duration [s] of the run that uses a core all the time; the run is longer than a period of throttling.
+#: Rate [Hz] and duration [s] of the run that polls the clock all the time; longer than a period of throttling.
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
-#: Largest number of cores for individual measurements.
+#: Largest number of cores that are measured individually.
 MOST_CORES = 4
 #: Folder with the settings of the processors, and folder with the other files of the system.
 PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")
@@ -46,7 +46,7 @@ Run = Callable[..., Lateness]
 
 @dataclass(frozen=True)
 class Delay:
-    """One setting of the machine."""
+    """A setting of the machine that delays a loop."""
 
     name: str
     state: str  #: Present value of the setting.
@@ -79,7 +79,7 @@ def _usable() -> list[int]:
 
 
 def _interrupts() -> dict[int, int]:
-    """Return the number of interrupts of each core so far."""
+    """Return the number of interrupts since boot, by core."""
     head, *lines = _text(PROC / "interrupts").splitlines() or [""]
     cores = [int(name.removeprefix("CPU")) for name in head.split()]
     counts = dict.fromkeys(cores, 0)
@@ -103,7 +103,7 @@ def delays(run: Run) -> Iterator[Delay]:
 
 
 def _looking(run: Run) -> Delay:
-    """Return the effect of polling the clock ahead of deadlines."""
+    """Return the setting for polling the clock ahead of deadlines, with its measured effect."""
     without, with_it = run(spin=0.0), run(spin=-1.0)
     state = "off: no priority, or no core to spare"
     if with_it.ahead:
@@ -113,7 +113,7 @@ def _looking(run: Run) -> Delay:
 
 
 def _by_core(run: Run) -> tuple[dict[int, Lateness], dict[int, float]]:
-    """Return the lateness of a run on each core, and the interrupts per second of this core during the run."""
+    """Return the lateness of a run on each core, and the interrupts per second on this core meanwhile."""
     by_core, rates = {}, {}
     for core in _usable()[:MOST_CORES]:
         before = _interrupts().get(core)
@@ -145,7 +145,7 @@ def _interrupted(by_core: dict[int, Lateness], rates: dict[int, float]) -> Delay
     change = ""
     if there and last:
         change = f"as root: echo 0 | tee {PROC}/irq/*/smp_affinity_list, and stop irqbalance; then realtime.cpu: {last}"
-    return Delay("interrupts", state, f"{cost}; their lateness is in the line above" if cost else NOT_MEASURED, change)
+    return Delay("interrupts", state, f"{cost}; lateness: see isolated cores" if cost else NOT_MEASURED, change)
 
 
 def _sleep_states(run: Run) -> Delay:

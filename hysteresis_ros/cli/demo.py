@@ -24,7 +24,7 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Time [s of axis time] and setpoint [m] of each message: the paper's step of 1 V, then several steps over the stroke.
+#: Time [s of axis time] and setpoint [m] of each message: the paper's step of 1 V, then steps over the stroke.
 SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85, 3.0e-6), (1.05, 0.0))
 #: Frequency [Hz], peak-to-peak displacement [m] and number of the triangles.
 TRIANGLES = 1.0, 1.0e-5, 2
@@ -95,7 +95,7 @@ def _axes(factor: float) -> dict:
     configuration = load_configuration(config_path("kim2009"))
     # without compiled kernels no loop is fast enough for real time, so the nodes run in lockstep, as fast as possible
     configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
-    # the machine may be busy: skipped samples are counted and reported, but do not stop a simulated axis
+    # a busy machine skips samples: they are counted and reported, but do not stop the simulated axis
     configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
     frequency, stroke, cycles = TRIANGLES
     triangle = dict(waveform__type="triangle", waveform__frequency=frequency, waveform__cycles=cycles)
@@ -281,7 +281,7 @@ def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], prog
 
 
 def opening_of_stroke(run) -> float:
-    """Return the width of the loop of displacement versus reference, as a fraction of the stroke of the reference."""
+    """Return the loop width of displacement versus reference, as a fraction of the stroke of the reference."""
     from hysteresis_ros.recordings.loops import loop_opening
 
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
@@ -296,18 +296,18 @@ def message(here, alone, skipped, live: bool) -> list[str]:
         f"(offline, where no deadline is missed)."
     ]
     if not live:
-        return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
+        return [*said, f"The runs in lockstep here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
     if not any(skipped):
-        return [*said, "This machine skipped no sample of either run: the results in real time, at 3 kHz, are equal."]
+        return [*said, "This machine skipped no sample of either run: the results in real time at 3 kHz are the same."]
     return [
         *said,
         f"This machine skipped {skipped[0]:.2g} % and {skipped[1]:.2g} % of the samples of the two runs: "
-        f"{100.0 * here[0]:.2g} % without the inverse, {100.0 * here[1]:.2g} % with it.",
+        f"the loop is {100.0 * here[0]:.2g} % wide without the inverse, {100.0 * here[1]:.2g} % with it.",
     ]
 
 
 def inverse_figure(without, with_inverse, *here):
-    """Return the figure of displacement and error versus reference, for all runs [µm].
+    """Return the figure of displacement and error versus reference [µm], for all runs.
 
     The first branch is omitted, because it starts at rest and belongs to no loop.
     """

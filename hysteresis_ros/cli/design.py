@@ -281,7 +281,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
 
 
 def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
-    """Return the configuration whose file contains the scan for which controllers or learning are designed."""
+    """Return the configuration with the scan for which controllers or learning are designed, also in its file."""
     from hysteresis_ros.designs.coupled import with_written_scan
     from hysteresis_ros.designs.coupled_learning import FEWEST
     from hysteresis_ros.errors import ConfigurationError
@@ -297,7 +297,7 @@ def _scanning(configuration, scan: str, values: tuple[str, ...], options: dict):
 
 
 def _with_feedforward(text: str, source: str, preview: int | None, band: float | None) -> tuple[str, list[str]]:
-    """Return the text of the file of a stage with a feedforward of all axes, and the printed lines."""
+    """Return the parameter file of a stage with a feedforward of all axes, and the lines to print."""
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.designs.stage_feedforward import (
         design_stage_feedforward,
@@ -353,8 +353,7 @@ def _learn_together(configuration, request, runs, output: str) -> None:
         recordings = [load_run(path) for path in runs]
         learning, corrections, trials = learned_from(configuration, request, recordings)
         files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in learning.parameters.names}
-        # the next design needs the corrections of the earlier runs, so the files of these corrections must not be
-        # replaced
+        # the next design needs the corrections of the earlier runs, so their files must not be replaced
         for path, recording in zip(runs, recordings, strict=True):
             if any(file in recording.metadata["configuration"] for file in files.values()):
                 raise ConfigurationError(

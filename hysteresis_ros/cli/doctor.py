@@ -49,7 +49,7 @@ MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_ms
 PRIORITY = 80
 #: Longest wait for the name of the middleware [s].
 PATIENCE = 10.0
-#: Program that asks rclpy for the middleware; it runs in a separate process, because only nodes import rclpy.
+#: Program that asks rclpy for the middleware, in a separate process because only nodes import rclpy.
 ASK_MIDDLEWARE = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
 
 
@@ -153,11 +153,11 @@ def advice(found: dict, permitted: bool) -> list[str]:
 
 #: Tested rates [Hz], and the duration of each test [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
-#: Number of samples of a lockstep run of nodes that exchange messages: in one process, and in a process for each node.
+#: Number of samples of a lockstep run of nodes that exchange messages: composed in one process, and as processes.
 COMPOSED, PROCESSES = 1000, 600
 #: Rate [Hz] and number of samples of a real-time run of these nodes.
 MESSAGE_RATE, ANSWERED = 300.0, 300
-#: Fraction of skipped samples above which no higher rate is tested.
+#: Fraction of skipped samples above which higher rates are not tested.
 HOPELESS = 0.1
 #: Time after which no further measurement of nodes starts [s]; the first run of a version takes long, because kernels
 #: are compiled.
@@ -331,7 +331,7 @@ def _delayed(spin: float = -1.0, cpu: int = -1, whole: bool = False) -> Lateness
 
 
 def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
-    """Return the rates of composed nodes and processes in lockstep, and their response times in real time."""
+    """Return rates in lockstep and response times in real time, of composed nodes and of processes."""
     import importlib.util
 
     if importlib.util.find_spec("rclpy") is None or libraries["rosbags"] == "not installed":

@@ -221,7 +221,7 @@ def _excite_stage(configuration, asked, record, offline: bool, rate: str | None,
 
 
 def _say_late(run) -> None:
-    """Print a line if voltages were late in a run."""
+    """Warn if voltages were late in a run."""
     from hysteresis_ros.cli.commissioning.bench import held_back
 
     for line in held_back(run, "counts as noise or distortion"):
@@ -229,14 +229,14 @@ def _say_late(run) -> None:
 
 
 def _stages(axis, length: float):
-    """Return a description, and functions that return the state as text and, in real time, the completed fraction."""
+    """Return a description of the run, and two functions: state as text, and completed fraction in real time."""
     import time
 
     plant, begun = axis.plant_simulator, time.monotonic()
     needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
-        # an upper bound of the fraction: the nodes have to start first, and how long this takes is not known
+        # an upper bound, because the start of the nodes takes an unknown time
         passed = time.monotonic() - begun
         return None if needed is None or passed > needed else passed / needed
 

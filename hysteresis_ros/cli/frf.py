@@ -92,8 +92,8 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     an excitation below the noise.
 
     For a stage, or its recording, it measures the matrix from the voltages of all actuators to the displacements of all
-    axes, in open loop with orthogonal multisines, and the condition number of the excitations. --namespace takes a
-    recording in which only this axis moves.
+    axes, in open loop with orthogonal multisines, and the condition number of the excitations. With --namespace it
+    evaluates one axis of a recording in which only this axis moves.
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture

@@ -27,7 +27,7 @@ NOT_CONVERGED = 3
 UNFIT = 4
 #: Figures that the table shows first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
-#: Number of reports of a fit after which its progress bar is half full.
+#: Number of progress reports of a fit after which its bar is half full.
 UNKNOWN = 60.0
 
 
@@ -89,9 +89,15 @@ class FitState:
     "--settle", type=int, help="Stage: periods of each realisation to discard for settling.  [default: 1 of 3]"
 )
 @click.option("--held-out", type=int, default=1, show_default=True, help="Stage: realisations held out for validation.")
-@click.option("--plays", type=int, default=8, show_default=True, help="Stage, internal: plays of each hysteresis.")
-@click.option("--hystereses", type=int, default=2, show_default=True, help="Stage, internal: hystereses per actuator.")
-@click.option("--steps", type=int, default=20, show_default=True, help="Stage, internal: steps of the last search.")
+@click.option(
+    "--plays", type=int, default=8, show_default=True, help="Stage, internal: number of plays of each hysteresis."
+)
+@click.option(
+    "--hystereses", type=int, default=2, show_default=True, help="Stage, internal: number of hystereses per actuator."
+)
+@click.option(
+    "--steps", type=int, default=20, show_default=True, help="Stage, internal: number of steps of the last search."
+)
 @click.option("--controller", default="pid", show_default=True, help="Stage: controller to design, or none.")
 @click.option("--damping", help="Stage: damping to design.  [default: irc, if it can be designed]")
 @click.option("--noise", type=Quantity("m"), help="Stage: RMS noise of the sensors; by default as measured.")

@@ -145,7 +145,7 @@ PARAMETER_FILES = (".yaml", ".yml")
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are looked up in :data:`COMMANDS`; wrong input ends in one line and exit code 2."""
+    """A group whose commands are in :data:`COMMANDS`; wrong input ends with one line and exit code 2."""
 
     #: Names of the imported commands that keep the files they read.
     _checked: ClassVar[set[str]] = set()
@@ -206,7 +206,7 @@ class LazyGroup(click.Group):
                 code = super().main(args, prog_name, **extra)
         except click.ClickException as error:
             if error.exit_code == 2 and not (args or sys.argv[1:]):
-                error.show()  # called without arguments: shows the help
+                error.show()  # without arguments, the command shows its help
                 sys.exit(error.exit_code)
             _refuse(_usage(error), error.exit_code)
         except HysteresisError as error:
@@ -232,7 +232,7 @@ def _keeping_files(callback):
         files = list(_files(context))
         for option, path in files:
             others = [other for other, same in files if same == path and other != option]
-            # a parameter file may be written anew, as by an editor
+            # a command may replace the parameter file that it reads, as an editor does
             others = [other for other in others if other in WRITTEN or path.suffix not in PARAMETER_FILES]
             if option in WRITTEN and others:
                 name = shortened(path.name)
@@ -245,7 +245,7 @@ def _keeping_files(callback):
 
 
 def _files(context: click.Context) -> Iterator[tuple[str, pathlib.Path]]:
-    """Yield option or argument and file for each value of a command that may be a file."""
+    """Yield the name of an option or argument and its file, for each value that may be a file."""
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         name = next((option for option in parameter.opts if option in WRITTEN), parameter.human_readable_name)

@@ -372,14 +372,14 @@ class AskedReference:
         return configuration.override(f"{only}reference_generator", **values)
 
     def refuse_others(self, taken: tuple[str, ...] = ()) -> None:
-        """Refuse waveform options without --reference."""
+        """Refuse waveform options, except ``taken``, because --reference is missing."""
         for name in self.given:
             if name not in taken:
                 raise click.UsageError(f"{_option(name)} belongs to a waveform: give --reference, e.g. triangle")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
-        """Raise a problem of the waveform again, with the name of the option and the text of the command line."""
+        """Raise problems of the waveform under the names of the options, with the texts of the command line."""
         from hysteresis_ros.errors import ParameterError
 
         try:
@@ -463,7 +463,7 @@ def refuse_values(values: tuple[str, ...], remedy: str = "") -> None:
 
 
 def scanning(configuration, scan: str | None, values: tuple[str, ...], reference: AskedReference):
-    """Return the configuration of a stage that follows a scan; without a scan it is unchanged."""
+    """Return the configuration of a stage that follows a scan; unchanged without a scan."""
     from hysteresis_ros.loop.stage_simulation import with_scan
 
     if scan is None:
@@ -486,8 +486,8 @@ def trigger_option(command):
 def triggering(configuration, triggers: tuple[str, ...], namespace: str | None = None):
     """Return a configuration with the triggers that the texts describe.
 
-    In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all axes do. With triggers
-    by ``each``, only axes that follow the scan trigger, and the clock of the scan has at least the level of ``each``.
+    In a stage, only the axis in ``namespace`` triggers, if a namespace is given; otherwise all axes do. With ``each``,
+    only axes that follow the scan trigger, and the scan clock gets at least the level of ``each``.
     """
     from hysteresis_ros.references.scans import parsed_values
     from hysteresis_ros.references.triggers import TriggerParameters
@@ -515,7 +515,7 @@ def _by_scan(configuration, values: dict, each: str, only: str):
     from hysteresis_ros.signals import SOURCE
 
     stage = StageParameters.from_configuration(configuration)
-    # without a scan, these triggers are refused later for every axis, with the remedy
+    # without a scan, the axes refuse these triggers later and state the remedy
     for axis in [only] if only else [f"{name}/" for name in stage.scanning_axes] or [""]:
         configuration = configuration.override(f"{axis}{SOURCE}", **values)
     if each not in LEVELS or LEVELS.index(stage.stage.scan.clock) >= LEVELS.index(each):

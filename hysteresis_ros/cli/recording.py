@@ -182,11 +182,11 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
 
 
 def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
-    """Return a line: samples that a recording lacks, or else its differences from its twin; empty if both are equal."""
+    """Return a line: what a recording lacks, or else how it differs from its twin; empty if it is equal."""
     missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
     parts = [f"{missing} samples"] * bool(missing) + [f"{lacking} entries of the change log"] * bool(lacking)
     if parts:
-        # samples after a gap have wrong indices, so differences from the twin would not be differences of the loop
+        # samples after a gap have wrong indices, so the comparison with the twin would be meaningless
         return f"{name} lacks {' and '.join(parts)}, so it cannot be compared with the offline twin"
     if not found:
         return ""

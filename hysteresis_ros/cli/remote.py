@@ -39,7 +39,7 @@ def steered(timeout: float = 10.0):
 
 
 def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
-    """Execute a command in the graph and exit with its code. ``timeout`` [s] limits every wait."""
+    """Execute a command in the graph and exit with its code. ``timeout`` [s] limits each wait."""
     import json
     import subprocess
     import sys
@@ -60,7 +60,7 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     require_ros()
     # a separate process, because the pip wheels of ROS restart the interpreter on import
     words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
-    # in a separate session, so that Ctrl-C in a terminal reaches only this process, which then ends the other process
+    # in a separate session, so that Ctrl-C reaches only this process, which then ends the other one
     guard = partial(die_with_parent, os.getpid())
     child = subprocess.run(words, env=node_environment(), start_new_session=True, preexec_fn=guard)
     raise SystemExit(child.returncode)
@@ -165,7 +165,7 @@ def _quantity(name: str, text: str, unit: str) -> float:
 def move(value, tolerance, dwell, namespace, timeout):
     """Move an axis to VALUE, e.g. 5um; print the predicted and then the measured time until it is ready.
 
-    An axis is ready when its displacement stays within the tolerance of VALUE. Nothing moves when a tolerance is
+    An axis is ready when its displacement stays within the tolerance of VALUE. The move is refused if the tolerance is
     smaller than the noise of the axis allows, or VALUE is out of range.
 
     Exit code 0: ready. 1: the axis is not found, or the move was replaced, stopped or not ready within the time-out. 2:

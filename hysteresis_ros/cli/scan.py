@@ -123,7 +123,7 @@ def _require_places(output: pathlib.Path | None, plot: pathlib.Path | None, rate
 
 
 def _figures(kind: str, made, found, best: float) -> dict[str, Any]:
-    """Return the figures, in SI; None for a figure that this kind of scan does not have, or that is unlimited."""
+    """Return the figures in SI; None for a figure that is unlimited or that this kind of scan lacks."""
     from hysteresis_ros.references.scan import AXES
 
     low, high = made.extent()
@@ -202,7 +202,7 @@ def _lines(figures: dict[str, Any]) -> list[str]:
 
 
 def _amplitude(value: complex, size: float) -> str:
-    """Return amplitude and phase of a harmonic; rounding errors have no phase.
+    """Return amplitude and phase of a harmonic as text; ``0`` for a rounding error.
 
     Units: ``size`` [m].
     """

@@ -167,7 +167,7 @@ def _say_triggers(recording, axis: str = "") -> None:
 
 
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, asked) -> None:
-    """Run a stage, write its recording, and print the errors of its axes and the errors by coupling."""
+    """Run a stage, write its recording, and print the errors of its axes and those due to coupling."""
     from hysteresis_ros.analysis.metrics import axes_figures
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
     from hysteresis_ros.api import scan_run

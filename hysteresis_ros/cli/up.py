@@ -249,7 +249,7 @@ LOOKED_AT = 300_000_000
 
 
 def _look_at_runs(graph) -> bool:
-    """Warn of outputs that were saturated for a noticeable time; return whether a device had failed at the end."""
+    """Warn of outputs that saturated for long; return whether a device had failed at the end."""
     import numpy as np
 
     from hysteresis_ros.analysis.metrics import limited_text

@@ -48,7 +48,7 @@ class ChangeLog:
     changes: list[dict] = field(default_factory=list)  #: Changes in order: sample, node, action, parameters.
     #: Flat dotted parameters with which each node was configured, by the name of the node.
     parameters: dict[str, dict] = field(default_factory=dict)
-    lacking: int = 0  #: Number of missing entries, found by gaps in the numbers of the entries.
+    lacking: int = 0  #: Number of missing entries, from the gaps in their numbers.
     #: Whether the log lacks the end of the run, because the nodes were stopped.
     stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class ChangeLog:
         """Add an entry."""
         node, action, number = str(entry.get("node")), entry.get("action"), entry.get("number")
         if isinstance(number, int):
-            # the numbers of a newly configured node's entries start at 1 again
+            # the entries of a newly configured node are numbered from 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
         self.stopped = action != ENDED or entry.get("stopped") is True
@@ -87,7 +87,7 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
     return log
 
 
-#: Times [ns] above this (September 2001) are wall-clock times; smaller times count from an arbitrary start.
+#: Times [ns] above this (September 2001) are wall-clock times; smaller ones have an arbitrary origin.
 CLOCK = 10**18
 #: Largest number of samples at the end whose messages may not have reached the recorder before it stopped.
 TAIL = 100
@@ -190,11 +190,11 @@ def _align_stage(bag: Bag, namespace: str, names: tuple[str, ...], further: bool
 def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Return all signals of one axis as the columns of a run.
 
-    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have the same stamp, by which they
-    are matched. Without them, ``joint_states`` and the Float64 topics are used: a topic with one message per sample is
-    matched by count; for any other topic, each sample gets the last message before the next sample. Without a simulated
-    plant the true displacement is unknown: the column ``displacement`` is then the measured displacement, and a note
-    states this.
+    The stamp of ``joint_states`` identifies a sample; ``~/state`` messages with the same stamp belong to it. Without
+    ``~/state``, ``joint_states`` and the Float64 topics are used: a sample gets the last ``setpoint`` before it. Any
+    other topic is matched by count if it has one message per sample; otherwise a sample gets the last message before
+    the next sample. Without a simulated plant the true displacement is unknown: the column ``displacement`` is then the
+    measured displacement, and a note states this.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)
@@ -280,7 +280,7 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
-    for name in ("skipped", "tripped"):  # without them the run of a device cannot be repeated
+    for name in ("skipped", "tripped"):  # a replay of a device's run needs them
         values = np.nan_to_num(_of_plant(states[PLANT], stamps, name))
         if np.any(values):
             more[name] = values
@@ -384,13 +384,15 @@ def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
             notes.append(f"a message is ignored: {error}")
             continue
         if number:
-            notes.append(f"{name}: {number} of {len(messages)} messages cannot be decoded; the one before them is used")
+            notes.append(
+                f"{name}: the last {number} of {len(messages)} messages cannot be decoded; an earlier one is used"
+            )
         return text
     return ""
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
-    """Return the messages of a topic and their rows; if stamps decrease between runs, only the longest run."""
+    """Return the messages of a topic and their rows; of several runs (decreasing stamps), only the longest."""
     topic = bag.of_type(name, cdr.JOINT_STATE)
     if topic is None:
         return None, np.zeros(0, dtype=np.int64)
@@ -404,7 +406,7 @@ def _one_run(bag: Bag, name: str, notes: list[str]):
 
 
 def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
-    """Return ``values`` on the grid ``stamps``, NaN for a missing message; the last of repeated messages is used."""
+    """Return ``values`` on the grid ``stamps``: NaN where no message exists, the last one of repeated messages."""
     found = np.full(stamps.size, np.nan)
     place = np.searchsorted(stamps, source_stamps)
     inside = place < stamps.size

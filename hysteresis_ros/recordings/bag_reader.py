@@ -367,7 +367,7 @@ class Bag:
 
     path: pathlib.Path  #: Path of the bag.
     topics: dict[str, Topic] = field(default_factory=dict)  #: Topics by full name.
-    complete: bool = True  #: False if the bag was cut off or is damaged.
+    complete: bool = True  #: Whether the bag is neither cut off nor damaged.
     notes: list[str] = field(default_factory=list)  #: Notes for the user.
     words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of metadata records, by their names.
     _count: int = 0

@@ -22,7 +22,7 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
-#: Duration that is always allowed [sample times], and largest ratio of a longer duration to the number of samples.
+#: A recording may last SMALL sample times plus RATIO sample times for each of its samples.
 SMALL, RATIO = 1_000_000, 100
 #: Source of the recording of an offline run, in its metadata.
 SIMULATED = "offline simulation"
@@ -150,8 +150,8 @@ class Recording:
     def sample_time(self) -> float:
         """Sample time [s], missing samples included; NaN with fewer than two samples.
 
-        It is the duration divided by the number of intervals, because stamps are whole nanoseconds: the rounding of a
-        single interval would add up to an error of one sample over 10⁶ samples.
+        It is the duration divided by the number of intervals, because stamps are whole nanoseconds: the rounding error
+        of a single interval would accumulate to one sample over 10⁶ samples.
         """
         if len(self) < 2:
             return float("nan")
@@ -176,7 +176,7 @@ class Recording:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the run was simulated offline; such a run also simulates a device."""
+        """Whether the run was simulated offline, even if the configuration names a device."""
         return self.metadata.get("source") == SIMULATED
 
     @property
@@ -217,10 +217,10 @@ def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
 def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, tolerance: float) -> None:
     """Replace the requested voltage in the signals of a run by the voltage that the actuator received.
 
-    Row k of the plant's state contains the output for the requested voltage of sample k. If the two differ by more than
-    the converters' rounding, ``voltage`` becomes the output, ``saturated`` becomes 1, and ``asked_voltage`` keeps the
-    requested voltage; a run without such samples has no ``asked_voltage``. A late voltage does not count as saturation:
-    the output is then the previous voltage, and ``saturated`` does not change.
+    Row k of the plant's state contains the output voltage for the requested voltage of sample k. Where the two differ
+    by more than the converters' rounding, ``voltage`` becomes the output voltage, ``saturated`` becomes 1, and
+    ``asked_voltage`` keeps the requested voltage; a run without such samples has no ``asked_voltage``. A late voltage
+    does not count as saturation: the plant holds the previous voltage, and ``saturated`` does not change.
     """
     if "voltage" not in signals:
         return

@@ -86,9 +86,8 @@ def known_conversion(name: str, unit: str) -> tuple[str, float]:
 
 #: Largest deviation of rounded times from a uniform grid, as a multiple of the rounding.
 ROUNDED = 1.01
-#: If the fraction of rows with the same time as the previous row is larger than this, times count as rounded. But if
-#: all these rows also repeat the values of the previous row, they count as duplicates, up to the fraction
-#: :data:`WRITTEN_TWICE`.
+#: Times count as rounded if more than this fraction of the rows has the time of the previous row. Rows that also repeat
+#: its values count as duplicates instead, up to the fraction :data:`WRITTEN_TWICE`.
 SHARED = 0.05
 #: Decreasing times count as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
 DISORDERED = 0.005
@@ -109,7 +108,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     """Return the corrected time axis from a column of times.
 
     Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid. If times are
-    not rounded, a row with the same time as the previous row is omitted, whether its values are the same or not.
+    not rounded, a row with the time of the previous row is omitted, whatever its values are.
 
     Units: ``time`` [s].
     """
@@ -150,7 +149,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     beside = np.max(np.abs(instants - grid))
     if beside <= ROUNDED * rounding and np.mean(again) > (WRITTEN_TWICE if np.all(same == again) else SHARED):
         share = len(instants) / np.count_nonzero(~again)
-        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share a time: assumed uniform, "
+        note = f"time is rounded to {readable(rounding, 's')}, so {share:.3g} samples share a time: assumed uniform, "
         return Clock(grid, kept, (note + f"{readable(grid[1] - grid[0], 's')} apart",), tuple(warnings))
     twice, other = int(np.count_nonzero(same)), int(np.count_nonzero(again & ~same))
     at = int(np.argmax(again))

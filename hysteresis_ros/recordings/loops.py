@@ -59,7 +59,7 @@ def loop_opening(u, y) -> float | None:
     Two consecutive branches (one rising, one falling) enclose a loop; the width of the loop at an input is the
     difference between the outputs of the two branches. The result is the largest width over all common inputs and all
     pairs of branches. If there are more than two branches, the first is omitted, because it starts at rest (virgin
-    curve) and closes no loop. The width contains everything that separates the branches: hysteresis, creep and the lag
+    curve) and closes no loop. The width includes everything that separates the branches: hysteresis, creep and the lag
     of the dynamics.
     """
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)

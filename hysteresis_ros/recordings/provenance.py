@@ -86,7 +86,7 @@ def in_force(recording: Recording) -> str:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Configuration | None:
-    # cached, because a page parses the same text a few dozen times, which would take most of the page's time
+    # cached, because a page parses the same text a few dozen times
     if not text:
         return None
     try:

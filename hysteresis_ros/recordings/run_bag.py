@@ -9,8 +9,8 @@
 
 """Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all together.
 
-For batches, the constant part of the messages, which is nearly everything, is written only once; only stamps and
-numbers are filled in, for many samples at a time.
+In batches, the constant part of the messages (nearly everything) is written once, and stamps and numbers are filled in
+for many samples at a time.
 """
 
 from __future__ import annotations

@@ -24,10 +24,7 @@ def test_a_period_with_a_missed_deadline_and_the_one_after_it_do_not_count():
 
 def test_it_says_how_many_periods_the_figure_is_of():
     kept = np.array([True, False, False, True, True])
-    assert (
-        missed_line(1.25e-8, kept)
-        == "deadlines were missed; error of the 3 of 5 periods that they have not disturbed: 12.5 nm RMS"
-    )
+    assert missed_line(1.25e-8, kept) == "deadlines were missed; error of the 3 undisturbed of 5 periods: 12.5 nm RMS"
     assert "no deadline" in missed_line(1e-8, np.ones(3, bool))
     assert "each of the 2 periods" in missed_line(np.nan, np.zeros(2, bool))
 
@@ -39,7 +36,7 @@ def test_what_does_not_repeat_is_told_from_what_does():
     said = "4.243 nm RMS of the error does not repeat from period to period, predicted 2.828 nm"
     assert repetition_line(measured, 1.01 * predicted) == said.replace("2.828", "2.857")
     more = repetition_line(measured, 0.99 * predicted)
-    assert more.startswith(said.replace("2.828", "2.8") + ": disturbances, missed deadlines or instants that vary")
+    assert more.startswith(said.replace("2.828", "2.8") + ": disturbances, missed deadlines or jitter")
     # the mean of two such periods still has a² of the variance, which does not count as repeating
     size = 1e9 * np.sqrt(np.mean(shape**2) - 3e-9**2)
     assert more.endswith(f"the accuracy of the model, is {size:.4g} nm RMS, predicted 0 nm")

@@ -35,7 +35,7 @@ TRIPPED = {
     WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the sample rate; lower sample_rate "
     f"(messages between nodes are reliable up to {MESSAGE_RATE:g} Hz), leave a core free, permit a real-time priority "
     "(hysteresis doctor), or use a driver in C (docs/hardware.md)",
-    BEYOND_TRAVEL: "the sensor measured more than the actuator's range: check its scaling, sign and cable",
+    BEYOND_TRAVEL: "a measurement is outside the range of the actuator: check scaling, sign and cable of the sensor",
     HALTED: "a stop was requested; start again when the axis may move",
     DEVICE_FAILED: "the device failed, see the line above; repair it and begin again",
     PARTNER_LOST: "a node of the axis was lost, see the line above; begin again",

@@ -515,10 +515,7 @@ def missed_line(error: float, kept: np.ndarray) -> str:
         return f"deadlines were missed in or just before each of the {len(kept)} periods: the machine limits the error"
     if count == len(kept):
         return "no deadline was missed"
-    return (
-        f"deadlines were missed; error of the {count} of {len(kept)} periods that they have not "
-        f"disturbed: {1e9 * error:.4g} nm RMS"
-    )
+    return f"deadlines were missed; error of the {count} undisturbed of {len(kept)} periods: {1e9 * error:.4g} nm RMS"
 
 
 def unrepeated(errors: np.ndarray) -> float:
@@ -536,7 +533,7 @@ def repetition_line(measured: np.ndarray, predicted: np.ndarray) -> str:
     said += f", predicted {1e9 * expected:.4g} nm"
     if found <= ERROR_AS_PREDICTED * expected:
         return said
-    causes = "disturbances, missed deadlines or instants that vary"
+    causes = "disturbances, missed deadlines or jitter"
     rest, modelled = (
         math.sqrt(max(float(np.mean(errors**2)) - varying**2, 0.0))
         for errors, varying in ((measured, found), (predicted, expected))

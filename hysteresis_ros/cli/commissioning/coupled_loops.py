@@ -180,8 +180,8 @@ def coupling_verdict(moved: float, model: float, noise: float) -> str:
     if moved <= max(ERROR_AS_PREDICTED * model, noise):
         return "as predicted"
     return (
-        f"{verdict(np.inf, ERROR_AS_PREDICTED)}, the coupling differs from the identified one; to identify it again: "
-        "--stage multisine"
+        f"{verdict(np.inf, ERROR_AS_PREDICTED)}; the coupling differs from the identified one: identify it again "
+        "(--stage multisine)"
     )
 
 
@@ -271,7 +271,7 @@ def scan_stage(situation: StageSituation) -> StageParameters:
 
 
 def repeated(error: np.ndarray, period: int) -> tuple[float, float]:
-    """Return the RMS [m] of the periodic part, without its mean, and the noise in the mean of the periods."""
+    """Return the RMS [m] of the periodic part without its mean, and of the noise in the average period."""
     table = error[: len(error) // period * period].reshape(-1, period)
     noise = float(np.mean(np.var(table, axis=0, ddof=1))) / len(table)
     return float(np.sqrt(max(np.var(table.mean(axis=0)) - noise, 0.0))), float(np.sqrt(noise))

@@ -72,7 +72,7 @@ def gain_stage(situation: StageSituation) -> StageParameters:
 
 
 def static_gains(situation: StageSituation, recording: Recording) -> np.ndarray:
-    """Return how far each step moved each sensor per volt, shape (n, n) [m/V]; each actuator has a column."""
+    """Return the static gains [m/V], shape (n, n), with a row for each sensor and a column for each actuator."""
     spans = situation.in_turn(volts.small_step)[1]
     count = round(volts.STEP_HOLD * situation.rate)
     second = count + round(volts.STEP_WAY * situation.rate)
