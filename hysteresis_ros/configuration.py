@@ -165,7 +165,7 @@ def parameter(
 def group(cls, *, variant_of: str | None = None) -> Any:
     """Nest another parameter dataclass; its YAML names get this field's name as prefix.
 
-    With ``variant_of="type"`` the group is only checked when the field ``type`` of the same dataclass equals this
+    With ``variant_of="type"`` the group is checked only when the field ``type`` of the same dataclass equals this
     field's name: a file may keep the parameters of several models and choose one of them.
     """
     return field(default_factory=cls, metadata=dict(group=cls, variant_of=variant_of))
@@ -447,7 +447,7 @@ class Configuration:
         return dump_configuration(merged)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the present content, including changed values, as a parameter file, completely or not at all.
+        """Write the present content, including changed values, as a parameter file; the write is atomic.
 
         Parameters
         ----------
@@ -704,7 +704,7 @@ def _represent_float(dumper, value):
 
 
 _Dumper.add_representer(float, _represent_float)
-# the parser of ROS reads y, Y, n and N as true and false, as YAML 1.1 specifies
+# texts such as y and N are quoted, because the parser of ROS reads them as true and false (YAML 1.1)
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("[yYnN]"), list("yYnN"))
 _Dumper.add_representer(
     tuple, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", list(value), flow_style=True)

@@ -130,8 +130,8 @@ _threads_before: list[tuple[Any, int]] = []
 def one_thread() -> Iterator[None]:
     """Compute linear algebra in one thread of this process; restore the previous number of threads at the end.
 
-    Small arrays gain nothing from several threads of OpenBLAS, which busy-wait for each other. A variable of
-    :data:`THREADS` in the environment, or another BLAS, leaves the number unchanged.
+    Small arrays gain nothing from several threads of OpenBLAS, which busy-wait for each other. The number stays
+    unchanged if the environment sets a variable of :data:`THREADS`, or with another BLAS.
     """
     global _threads_users
     if any(os.environ.get(name) for name in THREADS):
@@ -202,7 +202,7 @@ def processes(workers: int) -> Iterator[Processes]:
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
             process.join()
-        # the thread that waits for the processes has finished, but still holds semaphores
+        # releases the semaphores of the thread that waited for the processes
         found.pool.shutdown(wait=True, cancel_futures=True)
 
 

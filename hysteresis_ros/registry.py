@@ -14,7 +14,7 @@ objects. The registry finds every module of the folder whose name does not begin
 declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
-entry of a registry. Such a class is generated: it is the block with a constructor that takes keywords.
+entry of a registry. Each class is generated: the block, with a constructor that takes keywords.
 
 A keyword is the last part of a parameter's dotted name if that is unique (``Kp`` for ``pid.Kp``), otherwise the
 shortest unique end of the name, with dots written as two underscores (``dynamics__sample_time``). The full name is

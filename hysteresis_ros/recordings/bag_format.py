@@ -66,7 +66,7 @@ def packed(*records: McapRecord) -> bytes:
 
 
 def records_in(data) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode of each complete record in ``data``, and begin and end of the record's content."""
+    """Yield opcode, begin and end of the content of each complete record in ``data``."""
     cursor, size = 0, len(data)
     while cursor + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, cursor)
@@ -78,7 +78,7 @@ def records_in(data) -> Iterator[tuple[int, int, int]]:
 
 
 def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode of each complete record from the stream's position on, and begin and length of its content."""
+    """Yield opcode, begin and length of the content of each complete record, from the stream's position on."""
     cursor = stream.tell()
     while cursor + RECORD.size <= size:
         stream.seek(cursor)
@@ -110,7 +110,7 @@ class McapIndex:
         return sum(self.counts.values())
 
     def chunk(self, begin: int, pieces: list, size: int, entries: dict[int, np.ndarray], compression: str = "") -> list:
-        """Add a chunk to the index, and return the pieces of the chunk's record and of its message indices."""
+        """Add a chunk to the index, and return the pieces to write: the chunk's record and its message indices."""
         times = [column[:, 0] for column in entries.values()]
         start = min((int(column.min()) for column in times), default=0)
         end = max((int(column.max()) for column in times), default=0)
@@ -131,7 +131,7 @@ class McapIndex:
         return dict(self.counts), len(self.chunks), self.start, self.end
 
     def forget(self, noted: tuple) -> None:
-        """Restore an earlier state, because the later entries could not be written to the file."""
+        """Restore an earlier state, after later entries could not be written to the file."""
         self.counts, chunks, self.start, self.end = noted
         del self.chunks[chunks:]
 

@@ -238,7 +238,7 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
 
 @contextlib.contextmanager
 def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield the file, or a copy without the partial page at its end, because sqlite would fill this page with zeros."""
+    """Yield the file, or a copy without a partial last page, which sqlite would fill with zeros."""
     with path.open("rb") as stream:
         head = stream.read(18)
         size = stream.seek(0, os.SEEK_END)
@@ -254,7 +254,7 @@ def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 class Rows:
-    """The rows of a table in the order of the table, up to the first unreadable row."""
+    """The rows of a table, in order, up to the first unreadable row."""
 
     def __init__(self, connection: sqlite3.Connection, statement: str):
         self._connection, self._statement = connection, statement

@@ -128,7 +128,7 @@ class Frames:
         return self._times[: self.count]
 
     def entries(self, base: int) -> np.ndarray:
-        """Return the entries of the message indices, shape (channels, n, 2), of records from offset ``base`` on."""
+        """Return the entries of the message indices for records that begin at ``base``, shape (channels, n, 2)."""
         found = np.empty((len(self.channels), self.count, 2), "<u8")
         found[..., 0] = self.times
         found[..., 1] = np.array(self.starts)[:, None] + (base + self.size * np.arange(self.count))
@@ -171,7 +171,7 @@ class ChunkStorage(McapWriter):
         self.channel_stats[channel.id] = 0
 
     def continue_from(self, before: ChunkStorage) -> None:
-        """Add the topics of the previous file, and take over the pending messages of that file."""
+        """Add the topics of the previous file, and take over its pending messages."""
         schemas, channels = before.index.schemas, before.index.channels
         self._append([packed(*schemas.values(), *channels.values())])
         self.index.schemas, self.index.channels = dict(schemas), dict(channels)
@@ -430,7 +430,7 @@ class BagWriter:
         return self._connections[topic][1].id
 
     def on_flush(self, write: Callable[[], None]) -> None:
-        """Call ``write`` at each flush and at the end, so that it writes further pending messages."""
+        """Register ``write``, which is called before each flush to write messages that its owner has collected."""
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:
@@ -514,7 +514,7 @@ class BagWriter:
         """Return the error of a failed write; every later write raises the same error."""
         self._failure = f"{self.path}: cannot be written: {error.strerror}"
         if self._writer is not None:
-            self._writer.file.drop()  # discarding these messages leaves more space for the end of the file
+            self._writer.file.drop()  # leaves more space for the end of the file
         return RecordingError(self._failure)
 
     def _alive(self) -> ChunkedWriter:
@@ -565,7 +565,7 @@ class GuardedBag:
                 )
 
     def stop(self, reason: str) -> None:
-        """End the recording for a reason; the bag is complete up to this point if the disk has space for the index."""
+        """End the recording for a reason; the bag is complete up to here if the disk has space for the index."""
         self.stopped = reason
         try:
             self.finish()
@@ -588,7 +588,7 @@ class GuardedBag:
 
 
 def free_space(path: pathlib.Path) -> int:
-    """Return the free bytes for an unprivileged process on the disk of a file or folder."""
+    """Return how many bytes an unprivileged process can write to the disk of a file or folder."""
     found = os.statvfs(path)
     return found.f_bavail * found.f_frsize
 

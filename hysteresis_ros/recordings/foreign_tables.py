@@ -86,8 +86,8 @@ def known_conversion(name: str, unit: str) -> tuple[str, float]:
 
 #: Largest deviation of rounded times from a uniform grid, as a multiple of the rounding.
 ROUNDED = 1.01
-#: Times count as rounded if more than this fraction of the rows has the time of the previous row. Rows that also repeat
-#: its values count as duplicates instead, up to the fraction :data:`WRITTEN_TWICE`.
+#: Times count as rounded if more than this fraction of the rows has the time of the previous row; :data:`WRITTEN_TWICE`
+#: applies instead if all these rows also repeat the values of the previous row, as duplicates do.
 SHARED = 0.05
 #: Decreasing times count as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
 DISORDERED = 0.005
@@ -167,7 +167,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
 HEAD = 1 << 18
 #: Number of lines that are read at a time.
 BLOCK = 100_000
-#: Number of rows, at the end of the first HEAD bytes, from which delimiter and width are detected.
+#: Delimiter and width are detected from this number of rows at the end of the first HEAD bytes.
 TELLING = 200
 #: Largest fraction of damaged rows in a table.
 DAMAGED = 0.01
@@ -272,7 +272,7 @@ def _head(path):
 
 
 def _how_written(path, lines):
-    """Return delimiter, decimal comma and width with which most lines are rows of numbers."""
+    """Return delimiter, whether the comma is decimal, and number of columns that fit most lines as rows of numbers."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         if delimiter == "," and comma:
@@ -372,7 +372,7 @@ def _numbers(lines, layout, wanted, line_number, damaged):
             text, delimiter=layout.delimiter, usecols=wanted, ndmin=2, dtype=np.float64, comments="#", quotechar='"'
         )
     except ValueError:
-        pass  # a cell is empty or text, so read cell by cell, which is slower but locates this cell
+        pass  # a cell is empty or text: reading cell by cell is slower, but only this cell becomes NaN
     table = np.full((len(lines), len(wanted)), np.nan)
     width, k = len(layout.names), 0
     for number, line in enumerate(lines, line_number + 1):
@@ -560,11 +560,11 @@ class Selection:
 
     #: Columns as ``name`` or ``name:unit``; the unit may be omitted if the column declares it.
     choices: tuple[str, ...]
-    #: The time column, given in the same way; by default the column called ``time``, ``t``, ``time_s`` … or the only
-    #: column in seconds.
+    #: The time column in the same form; by default the column called ``time``, ``t``, ``time_s`` … or the only column
+    #: in seconds.
     time: str | None = None
     sample_time: float | None = None  #: Sample time [s] for tables without a time column.
-    #: First row, and the row after the last one (None: up to the end); negative numbers count from the end.
+    #: First row, and the row after the last one (None: up to the end; negative: counted from the end).
     rows: tuple[int, int | None] = (0, None)
 
 

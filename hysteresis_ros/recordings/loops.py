@@ -65,8 +65,7 @@ def loop_opening(u, y) -> float | None:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    # noise may exceed the smallest reversal; the branches between such reversals are too short, so a larger reversal is
-    # tried
+    # if noise exceeds the smallest reversal, the branches are too short, and a larger reversal is tried
     return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
 
 
@@ -87,6 +86,6 @@ def _opening(u, y, reversal: float) -> float | None:
 
 
 def _branch(u, y):
-    """Sort a branch by its input; outputs at equal inputs are averaged."""
+    """Sort a branch by its input, and average the outputs at equal inputs."""
     levels, place, counts = np.unique(u, return_inverse=True, return_counts=True)
     return levels, np.bincount(place, weights=y) / counts

@@ -103,7 +103,7 @@ WHOLE, DIGEST = "base64:", "sha256:"
 
 
 def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
-    """Return the entries of files, by their paths."""
+    """Return the entries of files in the metadata record, by path."""
     words = {}
     for path in paths:
         with contextlib.suppress(OSError):
@@ -133,7 +133,7 @@ def note_on_disk(name: str, content: bytes) -> str:
 
 
 def require_same(name: str, text: str) -> None:
-    """Refuse to repeat a run if the recording has only the digest of a file, and the file on this disk differs."""
+    """Refuse to repeat a run if a file differs from the recorded digest, or is missing on this disk."""
     try:
         with pathlib.Path(name).open("rb") as stream:
             same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text

@@ -65,7 +65,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # the footer may belong to another file, so every chunk in the index must lie within this file
+            # the footer may belong to another file, so each chunk of the index must begin at its place in this file
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all together.
+"""Writer of the samples of an axis into a bag, with topics, types and stamps as its nodes have them.
 
 In batches, the constant part of the messages (nearly everything) is written once, and stamps and numbers are filled in
 for many samples at a time.
