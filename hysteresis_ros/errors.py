@@ -22,7 +22,7 @@ LONGEST, LONGEST_MESSAGE = 300, 4000
 class HysteresisError(ValueError):
     """Base of every error that wrong input causes; a command then prints one line and ends with exit code 2.
 
-    A message may quote the content of a file, so it is reduced to one printable line.
+    The text is one printable line of limited length, because it may quote the content of a file.
     """
 
     def __str__(self) -> str:

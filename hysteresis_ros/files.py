@@ -88,7 +88,7 @@ class Head:
             raise ArchiveError(f"contains an array of {self.dtype}: only numbers and texts are read")
         count = math.prod(self.shape)
         if min(self.shape, default=0) < 0 or max(count, count * self.dtype.itemsize) > size:
-            raise ArchiveError(f"declares an array of shape {self.shape} in {size} bytes")
+            raise ArchiveError(f"declares an array of shape {self.shape}, which does not fit in its {size} bytes")
 
 
 def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:

@@ -351,7 +351,7 @@ INCHWORM = AxisKind(MOTOR_SOURCE, SIGNALS, GIVEN, motor=True)
 
 
 def kind_of(nodes: Container[str]) -> AxisKind:
-    """Return the kind of the axis with these nodes."""
+    """Return the kind of an axis with these nodes."""
     return INCHWORM if MOTOR_SOURCE in nodes else ACTUATOR
 
 
@@ -362,8 +362,8 @@ def place(name: str) -> int:
 
 #: Values of the ``mode`` signals. RUNNING: normal operation. HOLDING: no usable input in this sample; the output is
 #: held. STALE: no usable input within the time-out. STOPPED: stopped by a request. TRIPPED: stopped by the plant. In
-#: these three modes the output goes to its safe value. FOLLOWING: no node reports achieved commands; the command
-#: follows the displacement. QUIET: the command stands still on request.
+#: STALE, STOPPED and TRIPPED the output goes to its safe value. FOLLOWING: no node reports achieved commands; the
+#: command follows the displacement. QUIET: the command stands still on request.
 MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING, MODE_QUIET = range(7)
 
 #: Voltages that differ by less than this and are not on a converter's grid count as equal [V].
@@ -378,7 +378,7 @@ def state_signals(node: str) -> dict[str, str]:
 
 
 def float_topics() -> dict[str, str]:
-    """Return the Float64 topics that carry one number per sample: topic → signal, in the order of a sample.
+    """Return topic → signal of the Float64 topics with one number per sample, in the order of a sample.
 
     The origin is published before the reference to which it belongs.
     """

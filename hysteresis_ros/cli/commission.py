@@ -127,7 +127,7 @@ SILENCE = 5.0
 @click.option(
     "--stage", "stages", metavar="NAME", multiple=True, help="Run only this stage, even if it is finished; repeatable."
 )
-@click.option("--resume", is_flag=True, help="Continue; finished stages are not repeated.")
+@click.option("--resume", is_flag=True, help="Continue an earlier commissioning; finished stages are not repeated.")
 @click.option("--yes", is_flag=True, help="Move the axis without asking for confirmation.")
 @click.option("--directory", metavar="DIR", type=click.Path(path_type=pathlib.Path), help="Folder for all results.")
 @click.option(
@@ -250,7 +250,7 @@ def _coupled_situation(configuration, directory, resumed, plant, offline, choice
         )
     if plant == "external":
         raise ConfigurationError(
-            f"--plant external: {source} describes a stage of coupled axes, which takes no plants of your own; give "
+            f"--plant external: {source} describes a stage of coupled axes, which supports no external plants; give "
             "each axis a driver, or leave the option out to commission the simulated stage of the file"
         )
     parameters = StageParameters.from_configuration(configuration)

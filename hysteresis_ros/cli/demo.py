@@ -140,7 +140,7 @@ def _compile(axes, progress: Progress) -> None:
 
 
 def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
-    """Run all axes in parallel; one axis follows setpoints, and its run ends after the last setpoint."""
+    """Run all axes in parallel; the run of the axis that follows setpoints ends after the last setpoint."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph, node_environment
 

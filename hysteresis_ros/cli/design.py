@@ -54,8 +54,8 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--bandwidth",
     type=Quantity("Hz"),
-    help="-3 dB bandwidth from reference to displacement; with --learning, of the learning; for a stage with "
-    "--feedforward and without --controller, the frequency up to which its axes are decoupled.",
+    help="-3 dB bandwidth from reference to displacement; with --learning: bandwidth of the learning; for a stage with "
+    "--feedforward but without --controller: frequency up to which its axes are decoupled.",
 )
 @click.option(
     "--q", type=float, help="Kalman filter: ratio of the input noise variance to the measurement noise variance."
@@ -102,13 +102,13 @@ def design(config, namespace, output, response, runs, scan, values, **options):
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning it
     keeps the controller and designs learning for it.
 
-    For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
-    With --feedforward it adds the inverse of the coupled dynamics, to the designed or to the present controllers. With
-    --learning it designs learning for the period of the scan of the stage, starting with the corrections for which the
-    coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
-    --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan raster width=20um
-    depth=20um -o learns.yaml`; the written file then contains this scan. With --controller, the slow axis of a raster
-    gets a slow controller. Without --controller, --feedforward and --learning it only prints.
+    For a stage it designs the controllers of all axes, or of the axis that --namespace names, and prints how the axes
+    interact. With --feedforward it adds the inverse of the coupled dynamics, to the designed or to the present
+    controllers. With --learning it designs learning for the period of the scan of the stage, starting with the
+    corrections for which the coupled model follows that scan. With --learning coupled, the axes learn together from
+    recorded runs (--run). --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan
+    raster width=20um depth=20um -o learns.yaml`; the written file then contains this scan. With --controller, the slow
+    axis of a raster gets a slow controller. Without --controller, --feedforward and --learning it writes no file.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (

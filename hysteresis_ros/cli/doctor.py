@@ -171,10 +171,11 @@ BUDGET = 35.0
 def doctor(path: pathlib.Path | None) -> None:
     """Measure the rates at which this machine runs an axis and how late samples begin; list versions and limits.
 
-    Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
-    half a period and fewer than 0.5 % are skipped. For each setting of the machine that delays a loop: its state, its
-    cost, and the command that changes it. With nodes composed and as processes: samples per second in
-    lockstep; in real time at 300 Hz, the time from a measurement to its voltage and the number of late voltages.
+    A fused axis runs at 1, 3, 10, 20 and 50 kHz, with priority and without; a rate is held when 99 % of the samples
+    begin within half a period and fewer than 0.5 % are skipped. For each setting of the machine that delays a loop, it
+    prints the state, the cost, and the command that changes it. For nodes, composed and as processes, it prints the
+    samples per second in lockstep and, in real time at 300 Hz, the time from a measurement to its voltage and the
+    number of late voltages.
     """
     if path is not None and not path.absolute().parent.is_dir():
         raise click.UsageError(f"--json {path}: the folder does not exist; choose another one")

@@ -42,7 +42,11 @@ from hysteresis_ros.references.recipes import RECIPES
     "--periods", type=int, default=2, show_default=True, help="Stage, multisine: evaluated periods of each realisation."
 )
 @click.option(
-    "--settle", type=int, default=1, show_default=True, help="Stage, multisine: periods for settling before them."
+    "--settle",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Stage, multisine: settling periods before the evaluated ones.",
 )
 @click.option("--one-by-one", is_flag=True, help="Stage, multisine: excite one axis after the other.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Stage, multisine: seed of the phases.")

@@ -32,7 +32,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.option(
     "--at",
     type=click.Choice(["voltage", "command", "reference"]),
-    help="Point of excitation: open loop at the voltage or the command, closed loop at the reference or the command.",
+    help="Excited signal: voltage or command in open loop, reference or command in closed loop.",
 )
 @click.option(
     "--excitation",
@@ -75,7 +75,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     help="external: your own running node replaces plant_simulator.",
 )
 @click.option("--namespace", help="Axis to use, if there are several.")
-@click.option("--record", type=RunFile(), help="Keep the run: .npz, .csv or .mcap.")
+@click.option("--record", type=RunFile(), help="File for the recording of the run: .npz, .csv or .mcap.")
 @click.option(
     "-o", "--output", "outputs", multiple=True, type=click.Path(path_type=pathlib.Path),
     help="File for the response: .npz (for design and identify), .csv or .yaml; repeatable.",

@@ -22,7 +22,7 @@ import click
 
 #: Maximum interval of progress messages on a terminal [s].
 SILENCE = 1.5
-#: Maximum interval of progress messages in files and pipes [s]; up to it each interval is twice the previous one.
+#: Maximum interval of progress messages in files and pipes [s]; the interval doubles until it reaches this value.
 LONGEST_SILENCE = 60.0
 #: Time after which a bar is shown, and its update interval [s].
 SHORT, LOOK = 0.5, 0.1

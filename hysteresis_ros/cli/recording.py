@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--namespace", help="Axis to use, if a bag contains several.")
 @click.option("--title", help="Heading of the page; by default the name of the recording.")
 @click.option("--range", "range_", metavar="FROM:TO", help="Evaluate only this part, e.g. 0.5s:2s.")
-@click.option("--skip", metavar="TIME", help="Leave out the beginning, e.g. 0.5s.")
+@click.option("--skip", metavar="TIME", help="Length of the beginning to omit, e.g. 0.5s.")
 @click.option(
     "--last-periods", type=click.IntRange(1), metavar="N", help="Evaluate the last N periods of the reference."
 )
@@ -208,8 +208,8 @@ def equal(name: object, samples: int) -> str:
 def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
     """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table in SI units.
 
-    The columns are time and the recorded ones of setpoint, reference, command, voltage, displacement (true), measured
-    and estimated, then further signals such as modes and skipped samples, as `hysteresis simulate` writes them.
+    The columns are time; setpoint, reference, command, voltage, displacement (true), measured and estimated, as far as
+    they were recorded; and further signals such as modes and skipped samples, as `hysteresis simulate` writes them.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.recordings.files import load_run, save_run

@@ -160,7 +160,7 @@ def _quantity(name: str, text: str, unit: str) -> float:
 )
 @click.argument("value")
 @click.option("--tolerance", help="Largest distance from VALUE, e.g. 5nm; by default ready.tolerance or the noise.")
-@click.option("--dwell", help="Time within the tolerance, e.g. 5ms; by default ready.dwell of the axis.")
+@click.option("--dwell", help="Time to stay within the tolerance, e.g. 5ms; by default ready.dwell of the axis.")
 @steered(timeout=60.0)  # the first prediction may have to be compiled
 def move(value, tolerance, dwell, namespace, timeout):
     """Move an axis to VALUE, e.g. 5um; print the predicted and then the measured time until it is ready.

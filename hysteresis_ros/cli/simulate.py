@@ -53,7 +53,9 @@ from hysteresis_ros.cli.progress import shown
     metavar="START:DURATION[:TOLERANCE]",
     help="Hold the command constant, such as 1s:500ms:5nm; repeatable. TOLERANCE: largest drift by creep.",
 )
-@click.option("--learned", metavar="FILE", help="Write the learned correction at the end, for learning.file.")
+@click.option(
+    "--learned", metavar="FILE", help="File for the correction at the end of the run; learning.file can name it."
+)
 @click.option(
     "--drift",
     type=float,

@@ -430,7 +430,7 @@ class BagWriter:
         return self._connections[topic][1].id
 
     def on_flush(self, write: Callable[[], None]) -> None:
-        """Register ``write``, which is called before each flush to write messages that its owner has collected."""
+        """Register ``write``, which writes messages that its owner has collected, for each flush and the end."""
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:

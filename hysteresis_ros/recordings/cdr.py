@@ -10,8 +10,8 @@
 """Serialised messages of bags (CDR), encoded and decoded with the Jazzy types of ``rosbags``.
 
 A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
-usually share one layout, which follows from the first decoded message. If every significant byte of the layout agrees
-in all messages, their numbers are extracted in one operation; otherwise the messages are decoded one by one.
+usually share the layout of the first message. If all its significant bytes agree in all messages, the numbers are
+extracted in one operation; otherwise the messages are decoded one by one.
 """
 
 from __future__ import annotations

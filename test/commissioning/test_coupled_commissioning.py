@@ -748,7 +748,7 @@ def test_the_file_of_a_stage_keeps_the_plans_of_all_axes(tmp_path, monkeypatch):
 REFUSED = {
     "axis": (("--namespace", "x"), "--namespace and --against are for a single axis"),
     "other models": (("--against", "none"), "--namespace and --against are for a single axis"),
-    "external": (("--plant", "external"), "takes no plants of your own; give each axis a driver"),
+    "external": (("--plant", "external"), "supports no external plants; give each axis a driver"),
     "stage of an axis": (("--stage", "creep"), "no stage creep; there are noise, gain, resonance, multisine"),
     "before its time": (("--stage", "loop"), "loop needs the results of noise, gain"),
     "nobody there": ((), "noise: no terminal to ask for permission to move; give --yes"),

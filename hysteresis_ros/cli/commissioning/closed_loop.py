@@ -358,7 +358,7 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Return which samples are events, or follow an event within ``samples`` samples."""
+    """Return whether each sample is an event, or follows an event within ``samples`` samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples
@@ -389,7 +389,7 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
 
 
 def learned_line(parameters: LearningParameters, rate: float, signals, begin: int, count: int) -> str:
-    """Return a sentence about the periods used for learning, and why other periods were omitted or used only in part.
+    """Return a sentence: how many periods were learned completely, and why samples of the others were omitted.
 
     Units: ``rate`` [Hz].
     """
@@ -410,7 +410,7 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     )
 
 
-#: Largest number of learned periods, longest total time of these periods [s], and smallest number of learned periods.
+#: Largest number of learned periods, their longest total time [s], and their smallest number, which takes precedence.
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
 #: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
@@ -426,7 +426,7 @@ def learning_periods(situation: Situation) -> int:
 def learn_axis(situation: Situation) -> AxisParameters | Outcome:
     """Return the axis that learns the scan, and write its file; or return why learning is not possible."""
     configuration, namespace = designed(situation), situation.axis.namespace
-    # a correction from an earlier attempt was learned with another loop
+    # a correction of an earlier attempt belongs to another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
         period = scan_period(situation) / situation.rate
@@ -490,7 +490,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Return which periods are undisturbed, that is, without a missed deadline in them or in the previous period."""
+    """Return whether each period is undisturbed: no deadline was missed in it or in the previous period."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 

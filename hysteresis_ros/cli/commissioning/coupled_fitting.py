@@ -47,7 +47,7 @@ LOOSE = 0.05
 
 
 def identify_coupled(situation: StageSituation) -> Outcome:
-    """Identify the stage and write its file, in open loop; a held-out realisation of the multisines tests the model."""
+    """Identify the stage and write its file (open loop); test the model on a held-out realisation of the multisines."""
     reading, data = identification_data(situation, situation.folder.recording("multisine"))
     loops = reading_of(situation.folder.recording("hysteresis"), "hysteresis.npz")
     request = StageRequest(
@@ -142,7 +142,7 @@ def design_coupled(situation: StageSituation) -> Outcome:
 
 
 def closed_configuration(situation: StageSituation, watched: bool = True) -> Configuration:
-    """Return the stage of the file with the designed parameters; ``watched``: with commissioning's travel limits."""
+    """Return the stage with the designed parameters; ``watched``: with the travel limits of the commissioning."""
     designed = load_configuration(situation.folder.path / DESIGNED)
     into = situation.within()
     if not watched:

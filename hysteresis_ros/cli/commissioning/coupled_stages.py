@@ -27,7 +27,7 @@ def _noise_words(situation: StageSituation) -> str:
 
 
 def _each(situation: StageSituation, text) -> str:
-    """Return a text for each axis, one after the other."""
+    """Return a text with a part for each axis."""
     plans = zip(situation.names, situation.plans.values(), situation.safe, strict=True)
     return "; then ".join(f"{name}: {text(plan, safe)}" for name, plan, safe in plans)
 
@@ -43,7 +43,7 @@ def _gain_words(situation: StageSituation) -> str:
 def _resonance_words(situation: StageSituation) -> str:
     def text(plan, safe):
         middle, peak = 0.5 * (plan.minimum + plan.maximum), plan.small * plan.span
-        return f"slowly to {middle:.4g} V and a multisine of ±{peak:.3g} V there, more motion in resonance"
+        return f"slowly to {middle:.4g} V, a multisine of ±{peak:.3g} V there (more motion in resonance), and back"
 
     return _each(situation, text)
 
@@ -88,7 +88,7 @@ def _scan_words(situation: StageSituation) -> str:
 
 def _judge_words(situation: StageSituation) -> str:
     rate = situation.rate / loops.scan_period(situation)
-    return f"closed loops: sines on all axes together, from {rate:.4g} Hz on, as large as the scans"
+    return f"closed loops: simultaneous sines on all axes, the lowest at {rate:.4g} Hz, as large as the scans"
 
 
 #: The stages of coupled axes by name, in order; each stage needs the results of the stages before it.

@@ -159,15 +159,13 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
     moved, expected = float(np.mean(after) - np.mean(before)), plan.gain * step
     if abs(applied) < 0.5 * abs(step):
         raise CommissioningError(
-            f"a step of {step:g} V was commanded, but {applied:.3g} V were applied: limits were reached; check "
-            "limits and slew_rate"
+            f"a step of {step:g} V was commanded, but only {applied:.3g} V were applied; check limits and slew_rate"
         )
     if abs(moved) < max(SEEN * noise, LEAST_MOVEMENT * abs(expected)):
         raise CommissioningError(
             f"the sensor does not move with the actuator: {step:+.3g} V changed its reading by {readable(moved, 'm')}, "
             f"but {readable(expected, 'm')} were expected{_name_unit(moved, expected)}; check "
-            "amplifier, cables, "
-            "servo switch, and whether this sensor measures this actuator"
+            "amplifier, cables, servo switch, and whether this sensor measures this actuator"
         )
     if moved * expected < 0.0:
         raise CommissioningError(
@@ -199,7 +197,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
 
 
 def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, int]:
-    """Return the samples of the multisine without its first period, and the samples per period."""
+    """Return the samples of the multisine without its first period, and the number of samples per period."""
     period = round(PERIOD * situation.rate)
     first = round(REST * situation.rate) + round(WAY * situation.rate) + period
     last = first + (PERIODS - 1) * period
@@ -302,8 +300,7 @@ def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
     if not 1.0 / EXPECTED < stroke / plan.stroke < EXPECTED:
         raise CommissioningError(
             f"the whole range moved the stage by {readable(stroke, 'm')}, but {readable(plan.stroke, 'm')} "
-            "were expected: limits "
-            "of the amplifier or of the sensor were reached; correct them, or stroke and range in /commissioning"
+            "were expected: check the limits of amplifier and sensor, or correct stroke and range in /commissioning"
         )
     for end, words in ((measured.max(), "highest"), (measured.min(), "lowest")):
         at_end = np.abs(measured - end) <= max(noise, 1e-6 * stroke)

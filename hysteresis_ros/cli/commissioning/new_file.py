@@ -54,7 +54,7 @@ $driver
     minimum: $nearest                 # m, within the limits
     maximum: $farthest
     initial_setpoint: $start
-    # m/s, m/s², m/s³. Resonances are unknown, so a motion uses $percent % of the slew rate, after $ramp s
+    # m/s, m/s², m/s³. Resonances are unknown, so a motion reaches only $percent % of the slew rate, in $ramp s
     approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration, maximum_jerk: $jerk}
 
 /**/motion_controller:
