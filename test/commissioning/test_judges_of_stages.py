@@ -519,8 +519,8 @@ def test_the_error_of_a_scan_is_also_stated_without_periods_that_a_skipped_sampl
     monkeypatch.setattr(closed, "predicted_scan", lambda *given: run)
     lines = closed.judge_scan(situation, run).lines
     count = (judged.stop - judged.start) // period
-    kept = f"{count - 2} of {count} periods"
-    assert lines[1] == f"deadlines were missed; error of the {kept} that they have not disturbed: 10 nm RMS"
+    kept = f"{count - 2} undisturbed of {count} periods"
+    assert lines[1] == f"deadlines were missed; error of the {kept}: 10 nm RMS"
     assert lines[2].endswith("predicted 122.3 nm"), "two periods of ten are off by 290 nm: sqrt(290² 1.6 / 9)"
 
 
