@@ -96,7 +96,7 @@ class Run(Recording):  # numpydoc ignore=PR02
     units : dict of str to str, optional
         Unit of each signal; not required for signals of the package (``voltage``, ``displacement`` …).
     metadata : dict, optional
-        Values that JSON can hold, such as ``configuration`` (YAML text of the axis) and ``notes``.
+        JSON values, such as ``configuration`` (YAML text of the axis) and ``notes``.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return kind(recording.time, recording.signals, recording.units, recording.metadata)
 
     def __getattr__(self, name: str) -> np.ndarray:
-        # Python calls this only for missing attributes; while an object is copied or unpickled, it has no signals yet
+        # an object that is being copied or unpickled has no signals yet
         signals = self.__dict__.get("signals", {})
         if name in signals:
             return signals[name]
@@ -205,7 +205,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return table
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the run as ``.npz``, ``.csv`` or ``.mcap``, according to the suffix of the path.
+        """Write the run as ``.npz``, ``.csv`` or ``.mcap``; the suffix of the path selects the format.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class StageRun(Run):  # numpydoc ignore=PR02
     units : dict of str to str, optional
         Unit of each signal.
     metadata : dict, optional
-        Values that JSON can hold.
+        JSON values.
 
     Raises
     ------
@@ -251,7 +251,7 @@ class StageRun(Run):  # numpydoc ignore=PR02
         return Run.of(self.axis(name)) if name in self.axes else super().__getitem__(name)
 
     def __getattr__(self, name: str) -> Any:
-        # while a run is copied or unpickled, it has no signals and therefore no axes yet
+        # a run that is being copied or unpickled has no signals, and so no axes yet
         if "signals" in self.__dict__ and name in self.axes:
             return self[name]
         return super().__getattr__(name)
@@ -301,7 +301,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
             Assumed course of the voltage between samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the
             identification.
         initial : str, optional
-            The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage was periodic before) or
+            State at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage was periodic before) or
             ``estimate`` (at rest at the first voltage); by default as in the identification.
 
         Returns
@@ -527,7 +527,7 @@ class Response(AxisResponse):  # numpydoc ignore=PR02
         return "\n".join(self.lines())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the response as ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``, according to the suffix.
+        """Write the response as ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``; the suffix selects the format.
 
         Parameters
         ----------
@@ -739,8 +739,8 @@ def simulate(
     ConfigurationError
         The configuration cannot be read, the length of the run is not given, or a fault is unknown.
     ParameterError
-        A parameter, the duration or a setpoint is wrong, or a quiet hold is longer than creep allows; the message
-        states the allowed values.
+        A parameter, the duration or a setpoint is wrong, or the creep during a quiet hold exceeds its tolerance; the
+        message states the allowed values.
 
     Examples
     --------
@@ -851,7 +851,7 @@ def axis_array(
     axes : int
         Number of axes, 1 … 4096.
     each : mapping of str to sequence, optional
-        Parameters in which the axes differ, by ``NODE.PARAMETER``, with a value for each axis:
+        Parameters in which the axes differ: ``NODE.PARAMETER`` and a value for each axis, such as
         ``{"plant_simulator.sensor.seed": range(1, 1025)}``. Axes with equal seeds have equal noise.
     threads : int
         Number of threads that compute the axes.

@@ -27,7 +27,7 @@ from hysteresis_ros.cli.options import Quantity, RunFile
 @click.option("--method", type=click.Choice(["edge", "pattern"]), help="Tracked feature.")
 @click.option("--along", type=click.Choice(["x", "y"]), help="Direction of the motion in the frames.")
 @click.option("--region", metavar="X,Y,W,H", help="Evaluated region of the frames [px].")
-@click.option("--scale", metavar="M", help="Displacement of one pixel, such as 0.5um.")
+@click.option("--scale", metavar="M", help="Displacement per pixel, such as 0.5um.")
 @click.option(
     "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale, from this table of known displacements."
 )
@@ -50,7 +50,7 @@ def camera(frames, output, config, namespace, rate, known, target, **options):
     if sum(given is not None for given in (output, known, target)) != 1:
         raise click.UsageError("give one of -o FILE, --known FILE and --target M")
     if rate is not None and not 0.0 < rate < float("inf"):
-        raise click.UsageError(f"--rate {rate:g}: must be a number above 0")
+        raise click.UsageError(f"--rate {rate:g}: must be above 0 Hz")
     parameters = _parameters(config, namespace, calibrating=output is None, **options)
     if output is not None and output.suffix.lower() not in (".npz", ".csv", ".mcap"):
         raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; write .npz, .csv or .mcap")

@@ -45,7 +45,7 @@ COLOURS, MISSED = ("#d1495b", "#1f3b73"), "#e08e0b"
 MICRO = 1e6
 
 
-@click.command(short_help="Run Kim's axis in real time and as four processes, and report it.")
+@click.command(short_help="Run Kim's axis in real time and as four processes, and report the results.")
 @click.option("-o", "--output", default="demo", show_default=True, help="New folder for bags, report and figures.")
 @click.option("--factor", type=click.FloatRange(0.0, 1.0, min_open=True), default=1.0, help="Real-time factor.")
 def demo(output, factor):

@@ -33,7 +33,7 @@ def parameters(node):
 
 
 def _tables() -> dict:
-    """Return the parameter class of each node, and of the section that couples axes."""
+    """Return the parameter classes by name: of each node, of the section of a stage, and of the axis array."""
     from hysteresis_ros.configuration import STAGE
     from hysteresis_ros.loop.axis_array import ArrayNodeParameters
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS

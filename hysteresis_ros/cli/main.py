@@ -34,7 +34,7 @@ from hysteresis_ros.errors import HysteresisError, shortened
 #: Subcommands in the groups of the help: group → name → (module:attribute, one-line description).
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Run an axis": {
-        "up": ("hysteresis_ros.cli.up:up", "Start the nodes of an axis; record, watch and verify them."),
+        "up": ("hysteresis_ros.cli.up:up", "Start the nodes of an axis; record, watch and verify the run."),
         "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run an axis offline, without ROS."),
         "setpoint": (
             "hysteresis_ros.cli.remote:setpoint",
@@ -42,15 +42,21 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "move": (
             "hysteresis_ros.cli.remote:move",
-            "Move a running axis; print when it will be ready within a tolerance, and when it was.",
+            "Move a running axis; print the predicted and the measured time until it is ready.",
         ),
         "quiet": ("hysteresis_ros.cli.remote:quiet", "Hold the command of a running axis without feedback."),
         "status": ("hysteresis_ros.cli.remote:status", "Print nodes, health and position of each running axis."),
         "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
         "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),
-        "call": ("hysteresis_ros.cli.remote:call", "Call a service of a node: start, stop, reset, or its lifecycle."),
+        "call": (
+            "hysteresis_ros.cli.remote:call",
+            "Call a service of a node (start, stop, reset …), or change its lifecycle.",
+        ),
         "echo": ("hysteresis_ros.cli.remote:echo", "Print the messages of a topic."),
-        "demo": ("hysteresis_ros.cli.demo:demo", "Run an axis in real time and as four processes, and report it."),
+        "demo": (
+            "hysteresis_ros.cli.demo:demo",
+            "Run an axis in real time and as four processes, and report the results.",
+        ),
     },
     "Look at runs": {
         "watch": (
@@ -59,7 +65,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "report": ("hysteresis_ros.cli.recording:report", "Evaluate recordings: figures, charts, one HTML page."),
         "export": ("hysteresis_ros.cli.recording:export", "Convert a recording to .npz or .csv."),
-        "repair": ("hysteresis_ros.cli.recording:repair", "Repair a bag that was cut off."),
+        "repair": ("hysteresis_ros.cli.recording:repair", "Repair a bag that was cut off or is damaged."),
     },
     "Identify": {
         "excite": (
@@ -78,10 +84,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
     },
     "Design": {
-        "new": ("hysteresis_ros.cli.commission:new", "Write a safe parameter file for a new stage."),
+        "new": ("hysteresis_ros.cli.commission:new", "Write a safe parameter file for a new axis or stage."),
         "commission": (
             "hysteresis_ros.cli.commission:commission",
-            "Take a new stage to a closed loop: identify, design, verify.",
+            "Take a new axis or stage to a closed loop: identify, design, verify.",
         ),
         "design": (
             "hysteresis_ros.cli.design:design",
@@ -113,7 +119,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "sweep": (
             "hysteresis_ros.laboratory.commands:sweep",
-            "Run an axis with varied parameters: yield, sensitivity.",
+            "Run an axis with varied parameters: yield and sensitivities.",
         ),
         "benchmark": (
             "hysteresis_ros.laboratory.commands:benchmark",
@@ -136,10 +142,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 #: The subcommands by name.
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
-#: New objects per collection of the youngest generation. Compilation creates millions of objects that stay alive; with
+#: Number of new objects that starts a garbage collection. Compilation creates millions of objects that stay alive; with
 #: Python's default of 700, collections would take a tenth of the time.
 COLLECT_AFTER = 50_000
-#: Options that name a file to write, and endings of parameter files.
+#: Options that name a file to write; endings of parameter files.
 WRITTEN = ("-o", "--json", "--csv", "--plot")
 PARAMETER_FILES = (".yaml", ".yml")
 
@@ -147,7 +153,7 @@ PARAMETER_FILES = (".yaml", ".yml")
 class LazyGroup(click.Group):
     """A group whose commands are in :data:`COMMANDS`; wrong input ends with one line and exit code 2."""
 
-    #: Names of the imported commands that keep the files they read.
+    #: Names of the imported commands whose callbacks :func:`_keeping_files` has wrapped.
     _checked: ClassVar[set[str]] = set()
 
     def list_commands(self, ctx) -> list[str]:
@@ -214,7 +220,7 @@ class LazyGroup(click.Group):
         except OSError as error:
             if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
                 raise
-            # if the name of a file is too long, every access fails, even the test whether the file exists
+            # with too long a name of a file, even the test whether the file exists fails
             _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
             _refuse(f"not enough memory: {error or 'too many samples'}; choose a shorter run", 2)

@@ -161,14 +161,14 @@ def data_options(command):
                 "input_",
                 multiple=True,
                 metavar="NAME[:UNIT]",
-                help="Input column, e.g. control_V:V; of a stage repeated for each actuator.",
+                help="Input column, e.g. control_V:V; for a stage, repeat it for each actuator.",
             ),
             click.option(
                 "--output",
                 "output_",
                 multiple=True,
                 metavar="NAME[:UNIT]",
-                help="Output column, e.g. cap_sensor_um:um; of a stage repeated for each sensor.",
+                help="Output column, e.g. cap_sensor_um:um; for a stage, repeat it for each sensor.",
             ),
             click.option("--input-unit", metavar="UNIT", help="Unit of the input, e.g. A, also in results."),
             click.option("--output-unit", metavar="UNIT", help="Unit of the output, e.g. N, also in results."),
@@ -177,7 +177,7 @@ def data_options(command):
                 "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."
             ),
             click.option("--namespace", help="Axis to use, if a bag contains several."),
-            click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
+            click.option("--range", "range_", metavar="FIRST:LAST", help="Use only these samples, e.g. 0:6000."),
             click.option("--resample", metavar="SECONDS|auto", help="Resample the data to a uniform grid first."),
             click.option("--negate", is_flag=True, help="Invert the sign of the output."),
             click.option(
@@ -192,12 +192,12 @@ def data_options(command):
                 "--offset",
                 type=click.Choice(["kept", "free"]),
                 default="kept",
-                help="free: remove a constant from the output.",
+                help="kept: use the output as recorded; free: remove a constant from it.",
             ),
             click.option(
                 "--intersample",
                 type=click.Choice(["zoh", "linear", "bandlimited"]),
-                help="Assumed input between the samples.",
+                help="Assumed course of the input between samples.",
             ),
             click.option("--initial", type=click.Choice(["zero", "periodic", "estimate"]), help="Initial state."),
             click.option(
@@ -317,7 +317,7 @@ PARAMETERS = {
     "--file": "path",
 }
 HELP = {
-    "--amplitude": "Height above the offset, e.g. 70um.",
+    "--amplitude": "Largest distance from the offset, e.g. 70um.",
     "--frequency": "Frequency, e.g. 5Hz.",
     "--offset": "Offset, e.g. 10um.",
     "--cycles": "Number of cycles, after which the reference is constant; 0: endless.",
@@ -346,7 +346,7 @@ class AskedReference:
             return asked_waveform(str(self.kind), self.given, gain)
 
     def put_into(self, configuration, namespace: str | None = None):
-        """Return a configuration in which the axes follow the waveform; unchanged without a waveform option.
+        """Return a configuration whose axes follow the waveform; unchanged without a waveform option.
 
         In a stage, only the axis in ``namespace`` follows the waveform, if a namespace is given.
         """

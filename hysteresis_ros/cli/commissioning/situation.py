@@ -138,7 +138,7 @@ class Plan(Parameters):
 def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> Plan:
     """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator.
 
-    A section for all axes and a section in the namespace of the axis may both be given; the latter has precedence.
+    A section in the namespace of the axis takes precedence over a section for all axes.
     """
     axis.require_generator(
         f"{configuration.source}: an inchworm motor cannot be commissioned; commission its extender alone, in a file "
@@ -158,13 +158,13 @@ def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> P
     if not plan.minimum <= safe <= plan.maximum:
         raise ConfigurationError(
             f"{configuration.source}: safe_voltage {safe:g} V of hysteresis_compensator must lie "
-            f"within the {plan.minimum:g} … {plan.maximum:g} V of {SECTION}; change one of them"
+            f"within minimum … maximum of {SECTION} ({plan.minimum:g} … {plan.maximum:g} V); change one of them"
         )
     return plan
 
 
-#: Files in the folder: the origin of the folder, the identified axis, the axis with a controller, and the axis that
-#: also learns.
+#: Files in the folder: origin (parameter file and bench), identified axis, axis with a controller, axis that also
+#: learns.
 STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
 
 
@@ -176,7 +176,7 @@ class Folder:
         self._own = {"file": hashlib.sha256(text.encode()).hexdigest(), "bench": bench}
         state = self.path / STATE
         if self.path.exists() and not self.path.is_dir():
-            raise ConfigurationError(f"{self.path}: is a file; --directory is the folder to write: choose another")
+            raise ConfigurationError(f"{self.path}: is a file, but --directory must be a folder; choose another")
         if self.path.exists() and not resumed:
             raise ConfigurationError(
                 f"{self.path}: exists already; continue with --resume, choose another --directory or remove it"
