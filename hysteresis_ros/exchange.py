@@ -9,9 +9,9 @@
 
 """Conversion of linear dynamics to and from python-control and SciPy: ``hr.to_control``, ``hr.from_control``.
 
-A plant is measured at the beginning of a sample, before its input changes: the systems map the input u_k, held over
-sample k, to the output y_k at the beginning of sample k. Both are displacements [m], because the gain in m/V belongs to
-the hysteresis in front of the dynamics.
+A plant is measured at the beginning of a sample, before its input changes. The systems therefore map the input u_k,
+held over sample k, to the output y_k at the beginning of sample k. Both are displacements [m], because the gain in m/V
+belongs to the hysteresis in front of the dynamics.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ def with_dynamics(config: Source, dynamics: Any, *, node: str = "plant_simulator
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
     dynamics : LinearParameters, or a system of python-control or scipy.signal
-        Result of :func:`from_control`, or a system that it accepts; a continuous system is sampled at the sample rate
-        of the axis, and the DC gain is set to 1.
+        Result of :func:`from_control`, or a system that it accepts. Such a system is converted with a DC gain of 1, a
+        continuous one at the sample rate of the axis.
     node : str
         ``plant_simulator`` (the plant), or ``motion_controller`` (the model that the controller assumes).
 
@@ -251,7 +251,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete one without."""
+    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete one without a time."""
     home = type(system).__module__.partition(".")[0]
     if home == "control":
         import control

@@ -10,7 +10,7 @@
 """Read and write files safely: writes are atomic, reads are bounded, and archives may contain only numbers and texts.
 
 The size that the header of an array states must fit its content, and an archive may unpack to at most 64 MiB or 100
-times its own size, so a file that states a wrong size cannot exhaust the memory.
+times its own size (whichever is larger), so a file that states a wrong size cannot exhaust the memory.
 
 YAML is read by safe loaders only, which create plain values and nothing else. Aliases are refused: a file of one
 kilobyte with aliases can expand to gigabytes, and the parser of ROS 2 does not support them.
@@ -140,7 +140,7 @@ def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]
 
 @contextlib.contextmanager
 def _named() -> Iterator[None]:
-    """Convert any error that damaged bytes cause to an ArchiveError."""
+    """Convert every error that damaged bytes cause to an ArchiveError."""
     try:
         yield
     except (OSError, ArchiveError):

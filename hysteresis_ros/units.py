@@ -93,7 +93,7 @@ WORDS = {
 #: Powers as users type them, and as they are printed.
 _POWERS = {ord("²"): "^2", ord("³"): "^3"}
 
-#: Values below this are shown in the next smaller unit: 12.3 nm instead of 0.0123 µm.
+#: Numbers below this are shown in the next smaller unit: 12.3 nm instead of 0.0123 µm.
 FINE = 0.1
 
 _SENSITIVITY = re.compile(
@@ -186,7 +186,7 @@ def bare_name(column: str) -> str:
 
 
 def figure_name(name: str, units: tuple[str, str]) -> str:
-    """Return the name of a figure of a recording in ``units`` of input and output, from its name for V and m."""
+    """Return the name of a figure in the ``units`` of input and output of a recording, from its name in V and m."""
     for unit, own in zip(("V", "m"), units, strict=True):
         for after in ("", "2", "_per_s"):
             if own != unit and name.endswith(ending(unit) + after):

@@ -27,7 +27,7 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def main() -> None:
-    """Run the command; it ends in :class:`SystemExit`."""
+    """Run the command, which ends with :class:`SystemExit`."""
     dropped: list[type] = []
     for name in ONE_THREAD:  # before NumPy is imported
         os.environ.setdefault(name, "1")

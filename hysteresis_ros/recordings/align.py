@@ -71,7 +71,7 @@ class ChangeLog:
         own = [entry for entry in self.changes if entry.get("node") == node]
         if isinstance(parameters, dict) and not any(entry.get("sample") for entry in own):
             self.parameters[node] = parameters
-            # these parameters include earlier changes
+            # earlier changes are part of these parameters
             self.changes = [entry for entry in self.changes if entry.get("node") != node]
 
 
@@ -89,7 +89,7 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
 
 #: Times [ns] above this (September 2001) are wall-clock times; smaller ones have an arbitrary origin.
 CLOCK = 10**18
-#: Largest number of samples at the end whose messages may not have reached the recorder before it stopped.
+#: Largest number of samples at the end that may lack messages, because the recorder stopped before these arrived.
 TAIL = 100
 
 
@@ -346,7 +346,7 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
 
 
 def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
-    """Return the additional columns of an inchworm motor's run; for hardware, only the known columns."""
+    """Return the additional columns of an inchworm motor's run, as far as they were recorded."""
     if states[MOTOR_SOURCE] is None:
         return {}
     found = _further(states, stamps)
@@ -356,7 +356,7 @@ def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
 
 
 def _of_plant(plant, stamps, name: str) -> np.ndarray:
-    """Return an optional signal of the plant's state, NaN where it is unknown."""
+    """Return an optional signal of the plant's state, NaN where it was not recorded."""
     values = plant.signal(name) if plant is not None else None
     return np.full(stamps.size, np.nan) if values is None else _by_stamp(stamps, plant.stamps, values)
 
@@ -509,7 +509,7 @@ def _late_commands(bag: Bag, prefix: str) -> int:
 
 
 def _is_paced(configuration: str, prefix: str) -> bool:
-    """Return whether the samples began at deadlines of the wall clock: fused mode with real-time factor 1."""
+    """Return whether samples began at wall-clock deadlines: fused, real-time factor 1, no ``publish_clock``."""
     plant = configured(configuration, "plant_simulator", prefix)
     slowed = plant.get("real_time_factor", 1.0) != 1.0 or plant.get("publish_clock", False)
     return plant.get("time_mode") == "fused" and not slowed

@@ -95,7 +95,7 @@ def write_npz(recording: Recording, path) -> None:
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
     with (
         replacing(path, RecordingError) as beside,
-        # a fast level: the level of numpy.savez_compressed takes longer than a simulation, for a hardly smaller file
+        # a low level: that of numpy.savez_compressed takes longer than a simulation, and the file is hardly smaller
         zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
         for name, array in arrays.items():

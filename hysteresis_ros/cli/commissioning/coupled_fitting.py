@@ -159,7 +159,7 @@ def _axes(situation: StageSituation):
 
 
 def commissioned_text(situation: StageSituation) -> str:
-    """Return the parameter file of the finished stage, with its limits, the origin of these limits, and the plan."""
+    """Return the parameter file of the finished stage, with the sections for the origin of its numbers and the plan."""
     text = closed_configuration(situation, watched=False).original
     body = "".join(one for one in text.splitlines(keepends=True) if not one.startswith("#"))
     head = (

@@ -34,7 +34,7 @@ PERIODS, PERIOD = 5, 2.0
 #: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which the amplitude decays
 #: to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
-#: Level of the creep step, as a fraction of the range.
+#: Size of the creep step, as a fraction of the distance from the safe voltage to the farther end of the range.
 CREEP_PART = 0.8
 
 
@@ -44,13 +44,13 @@ def listening(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def step_size(plan: Plan, safe: float) -> float:
-    """Return the size of the small step [V], towards the farther end of the range."""
+    """Return the small step [V]; it goes towards the farther end of the range."""
     size = plan.step * plan.span
     return size if plan.maximum - safe >= safe - plan.minimum else -size
 
 
 def small_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a small step and the step back [V]."""
+    """Return the voltage [V] of a small step and the step back."""
     level, wait = safe + step_size(plan, safe), hold(safe, STEP_HOLD, rate)
     up, back = way(safe, level, STEP_WAY, rate), way(level, safe, STEP_WAY, rate)
     return np.concatenate([wait, up, hold(level, STEP_HOLD, rate), back, wait])
@@ -81,7 +81,7 @@ def creeping_level(plan: Plan, safe: float) -> float:
 
 
 def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a large step with a long hold, the step back, and a hold after it [V]."""
+    """Return the voltage [V] of a large step, a long hold, the step back, and a hold."""
     level = creeping_level(plan, safe)
     up, back = way(safe, level, CREEP_WAY, rate), way(level, safe, CREEP_WAY, rate)
     held, rest = hold(level, plan.creep_duration, rate), hold(safe, BACK_PART * plan.creep_duration, rate)

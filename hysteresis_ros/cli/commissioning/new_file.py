@@ -29,11 +29,12 @@ from hysteresis_ros.units import quantity_in, readable
 
 #: Plausible strokes [m], gains [m/V] and sample rates [Hz]; values outside usually come from a wrong unit.
 STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (5.0, 1e6)
-#: Fraction of the voltage range that an unknown axis may use, and fraction of the slew rate that a setpoint may use.
+#: Largest distance from the safe voltage for an unknown axis, as a fraction of the voltage range; also the fraction of
+#: the slew rate that a setpoint may use.
 FIRST_PART = 0.1
 
 _TEMPLATE = string.Template("""\
-# A new, unknown axis, written by `hysteresis new`: open loop, no inverse, $percent % of the range, slow.
+# A new, unknown axis, written by `hysteresis new`: open loop, no inverse, ±$percent % of the range, slow.
 # `hysteresis commission` measures the rest and writes a file with model and controller. SI units.
 /**:
   ros__parameters:
@@ -79,7 +80,7 @@ $driver
 
 
 _STAGE_TEMPLATE = string.Template("""\
-# A new, unknown stage of coupled axes, written by `hysteresis new`: open loop, $percent % of the ranges, slow.
+# A new, unknown stage of coupled axes, written by `hysteresis new`: open loop, ±$percent % of the ranges, slow.
 # `hysteresis commission` measures the rest and writes a file with model and controllers. SI units.
 /**:
   ros__parameters:
@@ -126,7 +127,7 @@ def parsed(option: str, text: str, unit: str) -> float:
 
 
 def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
-    """Return both ends, in SI, of a range such as ``0:100V``, ``-30..120 V`` or ``100V`` (from 0)."""
+    """Return both ends [SI] of a range such as ``0:100V``, ``-30..120 V`` or ``100V`` (from 0)."""
     for mark in ("...", "…", "..", ":"):
         if mark in text:
             low, _, high = text.partition(mark)

@@ -226,7 +226,7 @@ class Folder:
             raise ConfigurationError(f"{path}: is not an outcome; repeat the stage: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
-        """Store the outcome of a stage; the stage is then done."""
+        """Store the outcome of a stage, which marks it as done."""
         self._write(f"{stage}.json", asdict(outcome))
 
     def forget(self, stages: Iterable[str]) -> None:
