@@ -50,10 +50,10 @@ TYPE_NAMES = {
 }
 
 
-#: Maximum number of elements of an array, and of characters of a text.
+#: Maximum length of an array [elements], and of a text [characters].
 MOST_ITEMS, LONGEST_TEXT = 100_000, 4096
 
-#: Types of parameters whose values are tuples.
+#: Parameter types with tuples as values.
 ARRAY_TYPES = (tuple[float, ...], tuple[str, ...])
 
 
@@ -174,7 +174,7 @@ def group(cls, *, variant_of: str | None = None) -> Any:
 def variants(chooser: str, choices: dict[str, type]):
     """Return a class decorator that nests one group for each allowed value of the parameter ``chooser``.
 
-    Write it under ``@dataclass(frozen=True)``. The groups of a class can then come from a registry.
+    Write it under ``@dataclass(frozen=True)``. It allows a registry to supply the groups of a class.
     """
 
     def add(cls):

@@ -59,7 +59,7 @@ def shortened(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a value with NumPy numbers converted to Python numbers, whose repr does not contain the type."""
+    """Return a value with NumPy numbers converted to Python numbers, so that its repr contains no types."""
     if type(value) is tuple:
         return tuple(map(_plain, value))
     if type(value) is list:

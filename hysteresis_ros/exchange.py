@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["from_control", "to_control", "to_scipy", "with_dynamics"]
 
-#: Parameter group of the linear dynamics of each node: of the plant, or of the controller's model of the plant.
+#: Parameter group of the linear dynamics: those of the plant, and those of the controller's plant model.
 NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
 #: A feedthrough below this fraction of the gain counts as a rounding error.
 ROUNDING = 1e-9

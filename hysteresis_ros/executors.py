@@ -117,8 +117,8 @@ class InProcess(Executor):
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-#: Modules that are linked with a BLAS, and names of OpenBLAS' functions in the builds of NumPy, SciPy and Linux
-#: distributions: without and with a prefix, for integers of 32 and 64 bits.
+#: Modules that are linked with a BLAS, and names of its functions in OpenBLAS builds (NumPy, SciPy, Linux
+#: distributions): with or without a prefix, for 32-bit or 64-bit integers.
 LINKED = ("numpy.linalg._umath_linalg", "scipy.linalg._fblas")
 OPENBLAS = tuple(f"{prefix}openblas_%s_num_threads{suffix}" for prefix in ("scipy_", "") for suffix in ("64_", ""))
 _threads_lock = threading.Lock()
@@ -315,7 +315,7 @@ def cluster(address: str) -> Iterator[Cluster]:
         raise HysteresisError(f"--scheduler {EXTRA}") from None
 
     class Connected(Client):
-        """A client whose close() does not wait for a scheduler that has not answered."""
+        """A client that does not wait in close() for a scheduler that has not answered."""
 
         def __del__(self):
             pass

@@ -53,7 +53,7 @@ def _motor(name: str, unit: str, description: str, state: str = "") -> Signal:
     return Signal(name, unit, PLANT, description, _at(PLANT, name=state or name), motor=True)
 
 
-#: All signals, in the order of a row: those of every axis, then those of an inchworm motor only.
+#: All signals in the order of a row; those that only an inchworm motor has are last.
 SIGNALS = (
     Signal("setpoint", "m", USER, "valid setpoint", _at(SOURCE, MOTOR_SOURCE, name="setpoint"), "setpoint"),
     Signal(
@@ -266,27 +266,27 @@ class Edge(enum.IntFlag):
     PIXEL = 4
 
 
-#: Indices of the requests of the user: any axis has the first two, a motor has all of them.
+#: Indices of the user's requests; an actuator has only the first two.
 ASKED = (SETPOINT, TRIGGER_IN, REQUEST, SPEED)
 
-#: Indices of the inputs of a run: any axis has the first three, a motor has all of them.
+#: Indices of the inputs of a run; an actuator has only the first ACTUATOR_GIVEN.
 GIVEN = (SETPOINT, SKIPPED, TRIGGER_IN, REQUEST, SPEED)
 ACTUATOR_GIVEN = 3
 
-#: Length of a row for the axis of an actuator, and for the axis of a motor.
+#: Length of a row: for an actuator, and for a motor.
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
 MOTOR_ROW = len(SIGNALS)
 
 #: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is not 0).
 TRIPPED_FRAME = "tripped"
 
-#: Entries of the change log that are not user actions: initial parameters of a node, and the end of a run.
+#: Entries of the change log without a user action: initial parameters of a node, and end of a run.
 CONFIGURED, ENDED = "configure", "end"
 
 #: SI unit of each signal by name, and of the time.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 
-#: Name of the requested voltage in a run whose recorded ``voltage`` differs from it.
+#: Name of the requested voltage in a run with a different ``voltage``.
 ASKED_VOLTAGE = "asked_voltage"
 UNITS[ASKED_VOLTAGE] = "V"
 

@@ -116,7 +116,7 @@ def _for_each(names: list[str], option: str, text: str) -> list[str]:
     return texts * len(names) if len(texts) == 1 else texts
 
 
-#: Exit code when the error of the scan is much larger than predicted; the files are written nevertheless.
+#: Exit code when the scan error is much larger than predicted; the files are written anyway.
 UNPREDICTED = 4
 #: Maximum interval between two progress messages [s]; short, because a stage takes only some seconds.
 SILENCE = 5.0

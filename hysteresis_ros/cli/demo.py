@@ -281,7 +281,7 @@ def _report(folder: pathlib.Path, axes: dict, runs: dict, proof: list[str], prog
 
 
 def opening_of_stroke(run) -> float:
-    """Return the loop width of displacement versus reference, as a fraction of the stroke of the reference."""
+    """Return the loop width of displacement versus reference, as a fraction of the reference's stroke."""
     from hysteresis_ros.recordings.loops import loop_opening
 
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
@@ -289,7 +289,7 @@ def opening_of_stroke(run) -> float:
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return the results as sentences: first the offline results, then the results of the runs on this machine."""
+    """Return the results as sentences: first from the offline runs, then from the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
         f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, {inverse} with it "

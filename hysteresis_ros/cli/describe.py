@@ -33,7 +33,7 @@ def parameters(node):
 
 
 def _tables() -> dict:
-    """Return the parameter classes by name: of each node, of the section of a stage, and of the axis array."""
+    """Return parameter classes by name: each node, the stage section, and the axis array."""
     from hysteresis_ros.configuration import STAGE
     from hysteresis_ros.loop.axis_array import ArrayNodeParameters
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS
@@ -43,7 +43,7 @@ def _tables() -> dict:
 
 
 def parameter_lines(nodes: list[str]):
-    """Yield the lines of the tables: first the parameters that all nodes share, then the others of each node."""
+    """Yield the lines of the tables: first the shared parameters of all nodes, then the own ones of each node."""
     from hysteresis_ros.configuration import STAGE
     from hysteresis_ros.loop.parameters import NodeParameters
 

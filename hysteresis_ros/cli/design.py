@@ -104,10 +104,10 @@ def design(config, namespace, output, response, runs, scan, values, **options):
 
     For a stage it designs the controllers of all axes, or of the axis that --namespace names, and prints how the axes
     interact. With --feedforward it adds the inverse of the coupled dynamics, to the designed or to the present
-    controllers. With --learning it designs learning for the period of the scan of the stage, starting with the
-    corrections for which the coupled model follows that scan. With --learning coupled, the axes learn together from
+    controllers. With --learning it designs learning for the period of the stage's scan. The learning starts with
+    corrections with which the coupled model follows this scan. With --learning coupled, the axes learn together from
     recorded runs (--run). --scan replaces the scan of CONFIG: `hysteresis design xy_scanner --learning inversion --scan
-    raster width=20um depth=20um -o learns.yaml`; the written file then contains this scan. With --controller, the slow
+    raster width=20um depth=20um -o learns.yaml`; the written file contains the new scan. With --controller, the slow
     axis of a raster gets a slow controller. Without --controller, --feedforward and --learning it writes no file.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace

@@ -155,7 +155,7 @@ def advice(found: dict, permitted: bool) -> list[str]:
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
 #: Number of samples of a lockstep run of nodes that exchange messages: composed in one process, and as processes.
 COMPOSED, PROCESSES = 1000, 600
-#: Rate [Hz] and number of samples of a real-time run of these nodes.
+#: Rate [Hz] and number of samples of their real-time run.
 MESSAGE_RATE, ANSWERED = 300.0, 300
 #: Fraction of skipped samples above which higher rates are not tested.
 HOPELESS = 0.1

@@ -97,9 +97,8 @@ def excite(
 
     `hysteresis identify` reads the bag directly. Recipes: triangles (growing peaks), decaying (minor loops), multisine
     and chirp (dynamics), steps, creep. With a recipe, --amplitude is a factor on the recipe's own amplitude (such as
-    0.5), and --frequency is the frequency of the cycles, the line spacing of the multisine, or the initial frequency of
-    the chirp. With --reference, amplitudes may be in volts (60V), or in metres at the gain of the compensator's model
-    (5um).
+    0.5), and --frequency is the cycle frequency, the line spacing (multisine) or the initial frequency (chirp). With
+    --reference, amplitudes may be in volts (60V), or in metres at the gain of the compensator's model (5um).
 
     A stage is excited as a whole, in one recording: multisine excites all axes together with orthogonal multisines, the
     other recipes excite one axis after the other.

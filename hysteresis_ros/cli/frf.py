@@ -91,9 +91,9 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     response with 95 % probability; a multisine separates noise, odd and even distortion. Exit code 2: wrong input, or
     an excitation below the noise.
 
-    For a stage, or its recording, it measures the matrix from the voltages of all actuators to the displacements of all
-    axes, in open loop with orthogonal multisines, and the condition number of the excitations. With --namespace it
-    evaluates one axis of a recording in which only this axis moves.
+    For a stage, or its recording, it determines the response matrix from all actuator voltages to all displacements
+    (open loop, orthogonal multisines), and the condition number of the excitations. With --namespace it evaluates one
+    axis of a recording in which only this axis moves.
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture

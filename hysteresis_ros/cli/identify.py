@@ -21,7 +21,7 @@ from hysteresis_ros.cli.progress import Progress, shown
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.units import figure_name
 
-#: Exit code of a fit that did not converge; the best point is written nevertheless.
+#: Exit code of a fit that did not converge; the best point is written anyway.
 NOT_CONVERGED = 3
 #: Exit code if the recording shows that the model is accurate enough for an inverse, but not for feedback.
 UNFIT = 4
@@ -32,7 +32,7 @@ UNKNOWN = 60.0
 
 
 class FitState:
-    """Progress of a fit of unknown length: each report fills a fraction of the remaining bar."""
+    """Progress of a fit of unknown length: each report fills part of the remaining bar."""
 
     def __init__(self) -> None:
         self.text = ""
@@ -311,7 +311,7 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
 def validate(params, data, report_path, no_inverse, skip, offset, intersample, initial, json_path, **columns):
     """Simulate the plant of PARAMS with the voltage of DATA and compare with the measurement.
 
-    Prints the errors of the model (m, % of stroke, fit %), of its inverse (V, m), and whether the residual is white.
+    Prints the errors of the model (m, % of stroke, fit %) and the inverse (V, m), and whether the residual is white.
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.identification import workflow

@@ -85,14 +85,14 @@ class WaveformName(click.ParamType):
     name = "waveform"
 
     def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
-        """Return the waveforms whose names begin with the typed text."""
+        """Return the waveforms with names that begin with the typed text."""
         from hysteresis_ros.references.waveforms import WAVEFORMS
 
         return [CompletionItem(name) for name in WAVEFORMS if name.startswith(incomplete)]
 
 
 class NodeName(click.ParamType):
-    """The name of a node of an axis, or of any other node."""
+    """The name of a node; completion offers the nodes of an axis."""
 
     name = "node"
 
@@ -506,7 +506,7 @@ def triggering(configuration, triggers: tuple[str, ...], namespace: str | None =
 
 
 def _by_scan(configuration, values: dict, each: str, only: str):
-    """Return the configuration of a stage whose scanning axes, or the axis in ``only``, trigger by the scan."""
+    """Return a stage's configuration with triggers by the scan on the scanning axes, or on the axis in ``only``."""
     from dataclasses import replace
 
     from hysteresis_ros.configuration import STAGE

@@ -136,9 +136,9 @@ def echo(topic, once, count, namespace, timeout):
 def setpoint(value, namespace, timeout):
     """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether the axis accepts it.
 
-    Exit code 2: the setpoint is refused (it is out of range, or a node is inactive), or a node is stopped: the axis
-    then has the setpoint, and moves to it as soon as the node is started. Exit code 1: the axis is not found or does
-    not answer, so it is unknown whether the setpoint was accepted.
+    Exit code 2: the setpoint is refused (it is out of range, or a node is inactive); or a node is stopped, and the axis
+    moves to the setpoint as soon as the node is started. Exit code 1: the axis is not found or does not answer, so it
+    is unknown whether the setpoint was accepted.
     """
     in_graph("setpoint", namespace, timeout, value=_quantity("setpoint", value, "m"))
 
@@ -163,7 +163,7 @@ def _quantity(name: str, text: str, unit: str) -> float:
 @click.option("--dwell", help="Time to stay within the tolerance, e.g. 5ms; by default ready.dwell of the axis.")
 @steered(timeout=60.0)  # the first prediction may have to be compiled
 def move(value, tolerance, dwell, namespace, timeout):
-    """Move an axis to VALUE, e.g. 5um; print the predicted and then the measured time until it is ready.
+    """Move an axis to VALUE, e.g. 5um; print the predicted time until it is ready, then the measured time.
 
     An axis is ready when its displacement stays within the tolerance of VALUE. The move is refused if the tolerance is
     smaller than the noise of the axis allows, or VALUE is out of range.

@@ -23,7 +23,7 @@ from hysteresis_ros.cli.progress import shown
 
 #: Maximum number of samples of a written path.
 MOST_SAMPLES = 20_000_000
-#: Amplitude, as a fraction of the size of a scan, below which a harmonic is a rounding error.
+#: A harmonic below this fraction of the scan size is a rounding error.
 ROUNDING = 1e-9
 
 

@@ -150,7 +150,7 @@ def simulate(
 
 
 def _warn_unreached(faults, recording, rate: float) -> None:
-    """Warn of faults that begin after the end of the run, which has ``rate`` samples per second."""
+    """Warn of faults that begin after the end of the run; ``rate`` [Hz]."""
     from hysteresis_ros.loop.faults import unreached
 
     for warning in unreached(faults, len(recording), rate):

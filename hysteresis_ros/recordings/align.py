@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Alignment of the messages of a bag by their stamps: the columns of a run, and its change log."""
+"""Alignment of bag messages by their stamps into the columns of a run, and its change log."""
 
 from __future__ import annotations
 
@@ -193,8 +193,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     The stamp of ``joint_states`` identifies a sample; ``~/state`` messages with the same stamp belong to it. Without
     ``~/state``, ``joint_states`` and the Float64 topics are used: a sample gets the last ``setpoint`` before it. Any
     other topic is matched by count if it has one message per sample; otherwise a sample gets the last message before
-    the next sample. Without a simulated plant the true displacement is unknown: the column ``displacement`` is then the
-    measured displacement, and a note states this.
+    the next sample. Without a simulated plant the true displacement is unknown, so the column ``displacement`` contains
+    the measured one, and a note states this.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)

@@ -59,13 +59,13 @@ from hysteresis_ros.recordings.bag_format import (
 )
 from hysteresis_ros.recordings.cdr import MessageForm
 
-#: Name of the metadata record of an MCAP file that contains a copy of metadata.yaml, as ``ros2 bag`` writes it, and key
-#: of the copy.
+#: MCAP metadata record with a copy of metadata.yaml, as ``ros2 bag`` writes it: name of the record, and key of the
+#: copy.
 ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
 class Frames:
-    """The messages of consecutive samples as the bytes of a chunk, with one *frame* of constant size per sample."""
+    """The bytes of a chunk with the messages of consecutive samples; each sample is a *frame* of constant size."""
 
     def __init__(self, messages: list[tuple[int, MessageForm]], rows: int):
         """Write the constant part of all frames."""
@@ -306,7 +306,7 @@ class ChunkedWriter(Writer):
             self.file.write_frames(frames)
 
 
-#: Number of bytes of messages after which a chunk is closed and passed to the operating system.
+#: Size [bytes] of messages at which a chunk is closed and passed to the operating system.
 CHUNK_BYTES = 256 * 1024
 
 #: Infinite duration in the format of ROS 2 Jazzy.

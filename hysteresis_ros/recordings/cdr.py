@@ -223,6 +223,6 @@ def _joint_state_layout(raw: bytes) -> _Layout:
         cursor += -(cursor - 4) % 8
     offset = cursor
     cursor += 8 * count
-    # if the size and the length of velocity are equal, the length of effort and thus the layout are equal
+    # equal sizes of the message and equal lengths of velocity imply equal lengths of effort, and so equal layouts
     length()
     return _Layout(len(raw), offset, count, significant)

@@ -137,7 +137,7 @@ class Recording:
 
     @classmethod
     def of_axes(cls, axes: Mapping[str, Recording], metadata: dict) -> Recording:
-        """Combine recordings of the axes of a stage, at the same instants, into the recording of the stage."""
+        """Combine the axes' recordings, which have the same instants, into the recording of the stage."""
         signals = {f"{name}/{key}": values for name, one in axes.items() for key, values in one.signals.items()}
         units = {f"{name}/{key}": unit for name, one in axes.items() for key, unit in one.units.items()}
         return cls(next(iter(axes.values())).time, signals, units, metadata)

@@ -54,7 +54,7 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
 
 
 def loop_opening(u, y) -> float | None:
-    """Return the largest vertical width of the loops of ``y`` versus ``u``, in the unit of ``y``.
+    """Return the largest vertical width of the loops in ``y`` versus ``u``, in the unit of ``y``.
 
     Two consecutive branches (one rising, one falling) enclose a loop; the width of the loop at an input is the
     difference between the outputs of the two branches. The result is the largest width over all common inputs and all
@@ -70,7 +70,7 @@ def loop_opening(u, y) -> float | None:
 
 
 def _opening(u, y, reversal: float) -> float | None:
-    """Return the largest width of the loops between reversals of at least a given fraction of the range of ``u``."""
+    """Return the largest loop width; only reversals above the fraction ``reversal`` of the range of ``u`` count."""
     points = turning_points(u, reversal)
     branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
     if len(branches) > 2:

@@ -29,8 +29,7 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError, Recording
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
-#: Nodes whose parameters define an axis and are in the change log of the axis; and an optional node, which has no
-#: change log.
+#: Nodes that define an axis and are in its change log; and an optional node without a change log.
 LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
 OPTIONAL = ("displacement_camera",)
 
@@ -95,7 +94,7 @@ def _parsed(text: str) -> Configuration | None:
         return None
 
 
-#: Name of the metadata record with files, and size [bytes] above which it contains only the digest of a file.
+#: Name of the metadata record with files, and file size [bytes] above which it contains only a digest.
 FILES, LARGEST = "hysteresis_ros files", 2**20
 
 #: Prefixes of an entry: the whole content follows, or its SHA-256.

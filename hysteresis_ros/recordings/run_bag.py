@@ -33,7 +33,7 @@ from hysteresis_ros.recordings.dataset import SIMULATED, Recording
 from hysteresis_ros.recordings.provenance import RECORD, configured, provenance
 from hysteresis_ros.signals import ASKED_VOLTAGE, float_topics, state_signals
 
-#: Number of bytes of samples after which a chunk is written.
+#: Size [bytes] of samples at which a chunk is written.
 BLOCK_BYTES = 1024 * 1024
 
 #: Longest time that a sample waits for further samples of its chunk, while samples arrive [s].
@@ -52,7 +52,7 @@ class AxisTopics:
     joints: tuple[str, ...] = ("piezo",)
     sample_rate: float = 1000.0  #: Sample rate [Hz], for velocities.
     kind: signals.AxisKind = signals.ACTUATOR  #: Kind of the axis: its nodes and their signals.
-    force: float = 0.0  #: Preload of an actuator [N], which is the effort of its joint.
+    force: float = 0.0  #: Preload of an actuator [N], published as the effort of the joint.
     #: Whether the plant is simulated; for a device the true displacement is unknown, and missing in the plant's state.
     simulated: bool = True
     durability: str = (

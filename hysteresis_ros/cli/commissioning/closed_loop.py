@@ -277,7 +277,7 @@ PLANE = 3.0
 
 
 def _played_reference(situation: Situation, configuration: Configuration) -> tuple[np.ndarray, Plan, float]:
-    """Return the reference [m], the plan of the excitation in it, and the peak of the excitation [m]."""
+    """Return the reference [m], the plan of its excitation, and the peak of this excitation [m]."""
     low, high = _reach(situation, configuration)
     samples, plan = excitation(EXPERIMENT, situation.rate)
     peak = situation.plan.small * (high - low)
@@ -287,12 +287,12 @@ def _played_reference(situation: Situation, configuration: Configuration) -> tup
 
 
 def response_peak(situation: Situation) -> float:
-    """Return the peak of the excitation of the reference [m]."""
+    """Return the peak of the reference's excitation [m]."""
     return _played_reference(situation, designed(situation))[2]
 
 
 def response_axis(situation: Situation) -> AxisParameters:
-    """Return the axis whose reference is excited in closed loop."""
+    """Return the closed-loop axis with an excited reference."""
     configuration = designed(situation)
     reference, plan, _ = _played_reference(situation, configuration)
     return closed_axis(situation, configuration, "response", reference, plan=plan.text)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data that the stages of a commissioning of coupled axes share: a plan for each axis, and the runs of all axes."""
+"""Shared data of the stages that commission coupled axes: a plan for each axis, and the runs of all axes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def within_plant(plan: Plan, axis: AxisParameters) -> bool:
 
 @dataclass
 class StageSituation:
-    """The data that all stages of a commissioning of coupled axes share."""
+    """The shared data of all stages that commission coupled axes."""
 
     configuration: Configuration  #: The parameter file.
     parameters: StageParameters
@@ -169,7 +169,7 @@ class StageSituation:
         return np.array([hold(level, seconds, self.rate) for level in self.safe]).T
 
     def closed(self, configuration: Configuration, stage: str, references: np.ndarray) -> StageParameters:
-        """Return the stage whose axes follow references [m], shape (N, n), once."""
+        """Return the stage, configured to follow references [m], shape (N, n), once."""
         parameters = StageParameters.from_configuration(configuration)
         given = configuration.override(STAGE, scan__kind="")
         for axis, name, reference in zip(parameters.axes, self.names, references.T, strict=True):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of coupled axes in closed loop: steps and scans of one axis after the other, then of all axes together.
+"""The closed-loop stages of coupled axes: steps and scans of one axis after the other, then a path of all axes.
 
 Each run is compared with a prediction by the identified stage with the same controllers.
 """
@@ -52,7 +52,7 @@ from hysteresis_ros.units import readable
 
 #: Largest motion of a holding axis, as a fraction of the step of the moving axis.
 DISTURBED = 0.25
-#: Peak of the noise of a holding axis, relative to the RMS of this noise.
+#: Ratio of peak to RMS of the noise of a holding axis.
 NOISE_PEAK = 5.0
 #: A motion below this fraction of the noise cannot be distinguished from the noise.
 BURIED = 0.2
@@ -225,7 +225,7 @@ def judge_loop(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def _tracking(situation: StageSituation, caption: str, recording: Recording, errors, span: slice) -> Picture:
-    """Return a plot of the references and measurements of all axes in a span of a run."""
+    """Return a plot of all references and measurements in a span of a run."""
     time, traces = recording.time[span] - recording.time[span.start], []
     for name in situation.names:
         reference = recording[f"{name}/reference"][span]

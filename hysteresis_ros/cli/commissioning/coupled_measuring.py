@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of coupled axes in open loop: one axis after the other, then all together.
+"""The open-loop stages of coupled axes: one axis after the other, then all together.
 
 Voltages and checks of each axis are the same as for a single axis. In addition, the readings of the other axes' sensors
 are checked.
@@ -40,9 +40,9 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, there_and_back
 from hysteresis_ros.units import readable
 
-#: Small multisine of an axis: samples of a period, and number of periods, the first of which is only for settling.
+#: Small multisine of an axis: samples per period, and number of periods; the first period is only for settling.
 SMALL_PERIOD, SMALL_PERIODS = 8000, 5
-#: Ratio of the motions of another sensor and of the actuator's own sensor above which the actuator counts as miswired.
+#: An actuator counts as miswired if another sensor moves this many times as far as the actuator's own sensor.
 MISTAKEN = 2.0
 #: Largest predicted motion about its mean during the identification multisine, as a fraction of the stroke.
 SWING = 0.25

@@ -38,8 +38,8 @@ from hysteresis_ros.units import readable
 
 #: Number of samples per cycle for the identification of the hysteresis; more samples add no information.
 SAMPLES_A_CYCLE = 100
-#: Largest number of other models with which controllers are checked, and largest error of these models on held-out
-#: blocks, relative to the error of the best model.
+#: Controllers are also checked with other models: their largest number, and their largest held-out error, relative to
+#: that of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
 #: Other models with which controllers are checked if no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
@@ -306,5 +306,5 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
 
 
 def _plain(values: dict) -> dict:
-    """Return parameters whose lists YAML writes in one line."""
+    """Return parameters with lists that YAML writes in one line."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}

@@ -31,8 +31,7 @@ STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Number of periods of the multisine, and their length [s]; the first period is for settling.
 PERIODS, PERIOD = 5, 2.0
-#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which the amplitude decays
-#: to 1/e.
+#: Number of cycles: over the whole range, with decaying amplitude, and until the amplitude has decayed to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
 #: Size of the creep step, as a fraction of the distance from the safe voltage to the farther end of the range.
 CREEP_PART = 0.8
@@ -88,14 +87,14 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
 
 
-#: Largest noise of the sensor, as a fraction of the stroke, and largest zero offset, as a multiple of the stroke.
+#: Largest sensor noise, as a fraction of the stroke, and largest zero offset, as a multiple of the stroke.
 NOISY, FAR_AWAY = 0.02, 20.0
 #: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
 #: Largest ratio between measured and expected gain (either way), and largest movement after a small step, as a fraction
 #: of the step.
 EXPECTED, RINGING = 3.0, 0.25
-#: Relative uncertainty of a resonance fit, as a fraction of the power of its lines, below which averaging stops.
+#: Relative uncertainty of a resonance fit below which averaging stops.
 CERTAIN = 0.02
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0

@@ -243,7 +243,7 @@ def _scalar(value) -> str:
 
 
 def write_new(path, new: NewAxis | Mapping[str, NewAxis]) -> None:
-    """Write the parameter file of a new axis, or of a stage of several axes by their names.
+    """Write the parameter file of a new axis, or of a stage with several axes by name.
 
     The file is deleted if the axis or stage cannot be built from it. An existing file is never overwritten.
     """

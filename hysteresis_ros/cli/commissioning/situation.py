@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data that the stages of a commissioning share: the axis, the plan of allowed movements, earlier outcomes.
+"""Shared data of the stages of a commissioning: axis, plan of allowed movements, earlier outcomes.
 
 The plan is the section ``/commissioning`` of a parameter file; no node reads this section. An outcome (figures,
 sentences and pictures for a page) is stored as JSON in the folder of the commissioning, with the recordings.
@@ -328,7 +328,7 @@ class Situation:
         return bool(plant.driver) or plant.external_plant
 
     def within(self, configuration: Configuration, low: float, high: float) -> Configuration:
-        """Return a configuration whose plant and compensator are limited to ``low`` … ``high`` [V]."""
+        """Return a configuration with plant and compensator limited to ``low`` … ``high`` [V]."""
         limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.amplifier}
         for node in ("plant_simulator", "hysteresis_compensator"):
             configuration = configuration.override(node, **limits)
