@@ -160,10 +160,12 @@ def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
             for graph in graphs.values():
                 graph.poll()
             if time.monotonic() - begun > PATIENCE / plant.real_time_factor:
-                raise HysteresisError(f"the setpoints could not be published within {PATIENCE:g} s; is DDS working?")
+                raise HysteresisError(
+                    f"the setpoints could not be published within {PATIENCE:g} s; check DDS (hysteresis doctor)"
+                )
             time.sleep(0.02)
         if publisher.returncode != 0:
-            raise HysteresisError("the setpoints could not all be published; is DDS working?")
+            raise HysteresisError("the setpoints could not all be published; check DDS (hysteresis doctor)")
         if live:
             time.sleep(HELD / plant.real_time_factor)
             graphs.pop(STEPS).stop()

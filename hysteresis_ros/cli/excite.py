@@ -140,7 +140,9 @@ def excite(
         _excite_stage(configuration, asked, record, offline, rate, processes)
         return
     if offline or realisations is not None or one_by_one:
-        raise click.UsageError("--offline, --realisations and --one-by-one are for a stage, and this is a single axis")
+        raise click.UsageError(
+            "--offline, --realisations and --one-by-one are for a stage: omit them for a single axis"
+        )
     if plant == "external":
         configuration = configuration.override("", external_plant=True)
     given = single_axis(configuration, namespace)

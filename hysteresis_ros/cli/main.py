@@ -220,7 +220,7 @@ class LazyGroup(click.Group):
         except OSError as error:
             if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
                 raise
-            # with too long a name of a file, even the test whether the file exists fails
+            # if a file name is too long, even the test whether the file exists fails
             _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
             _refuse(f"not enough memory: {error or 'too many samples'}; choose a shorter run", 2)

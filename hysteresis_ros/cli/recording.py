@@ -135,7 +135,7 @@ def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int
     from hysteresis_ros.errors import RecordingError
 
     if sum(option is not None for option in (range_, skip, periods)) > 1:
-        raise click.UsageError("--range, --skip and --last-periods exclude each other")
+        raise click.UsageError("--range, --skip and --last-periods exclude each other; give one of them")
     begin, end = _bounds(range_, skip)
     try:
         return parts.within(run, begin, end) if periods is None else parts.last_periods(run, periods)

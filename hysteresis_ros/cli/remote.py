@@ -122,7 +122,7 @@ def call(node, action, namespace, timeout):
 def echo(topic, once, count, namespace, timeout):
     """Print the messages of TOPIC, e.g. joint_states, reference, motion_controller/state; Ctrl-C ends it."""
     if once and count:
-        raise click.UsageError("--once and --count exclude each other")
+        raise click.UsageError("--once and --count exclude each other; give one of them")
     in_graph("echo", namespace, timeout, topic=topic, count=1 if once else count)
 
 

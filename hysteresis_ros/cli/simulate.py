@@ -107,7 +107,9 @@ def simulate(
         refused = {"--learned": learned, "--drift": drift, "--quiet": quiets}
         for option, value in refused.items():
             if value:
-                raise click.UsageError(f"{option} is for a single axis, and {configuration.source} describes a stage")
+                raise click.UsageError(
+                    f"{option} is for a single axis, and {configuration.source} describes a stage: omit it"
+                )
         with reference.named():
             asked = bool(reference.kind or triggers)
             _simulate_stage(configuration, output, duration, setpoints, faults, namespace, asked)

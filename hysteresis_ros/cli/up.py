@@ -203,7 +203,7 @@ def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | N
     """Return the requested time mode."""
     if fused and (rate not in (None, "fused") or processes is not None):
         other = f"--rate {rate}" if processes is None else "--processes or --composed"
-        raise click.UsageError(f"--fused and {other} exclude each other")
+        raise click.UsageError(f"--fused and {other} exclude each other; give one of them")
     return "fused" if fused else rate
 
 

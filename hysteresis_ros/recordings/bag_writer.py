@@ -386,7 +386,9 @@ class BagWriter:
         if topic in self._connections:
             known = self._connections[topic][0]
             if known != type_name:
-                raise RecordingError(f"topic {topic} has the type {known} and cannot take {type_name}")
+                raise RecordingError(
+                    f"topic {topic} has the type {known} and cannot take {type_name}; use another topic"
+                )
             return
         if type_name not in cdr.typestore().types:
             raise RecordingError(
@@ -430,7 +432,7 @@ class BagWriter:
         return self._connections[topic][1].id
 
     def on_flush(self, write: Callable[[], None]) -> None:
-        """Register ``write``, which writes messages that its owner has collected, for each flush and the end."""
+        """Register ``write`` for each flush and the end; it writes messages that its owner has collected."""
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:

@@ -103,7 +103,7 @@ class Recording:
         except KeyError:
             if self.axes:
                 raise RecordingError(
-                    f"the recording is of a stage and has no signal '{name}': choose one of its axes "
+                    f"the recording of a stage has no signal '{name}': choose one of its axes "
                     f"({', '.join(self.axes)}) with --namespace, or a signal such as '{self.axes[0]}/displacement'"
                 ) from None
             there = ", ".join(["time", *self.signals])

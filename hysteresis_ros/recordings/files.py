@@ -73,7 +73,7 @@ def read_csv(path) -> Recording:
     names = [name for name, _, _ in parts]
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
-        raise RecordingError(f"{path}: column {', '.join(sorted(repeated))} appears more than once")
+        raise RecordingError(f"{path}: column {', '.join(sorted(repeated))} appears more than once; rename one of them")
     columns = {
         name: table[:, i].copy() if divisor == 1.0 else table[:, i] / divisor
         for i, (name, _, divisor) in enumerate(parts)

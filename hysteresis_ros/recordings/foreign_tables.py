@@ -200,7 +200,7 @@ def find_layout(path: pathlib.Path) -> Layout:
     names, units, used = _names(lines[:first], delimiter, width)
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise RecordingError(f"{path}: column {', '.join(repeated)} appears more than once")
+        raise RecordingError(f"{path}: column {', '.join(repeated)} appears more than once; rename one of them")
     notes = []
     before = sum(bool(line.strip()) and not line.lstrip().startswith(_COMMENTS) for line in lines[:first]) - used
     if before > 0:

@@ -469,7 +469,7 @@ def test_a_model_of_another_shape_than_one_recording_or_of_twice_the_gain_is_ref
     noise = {name: {"noise_rms_m": level} for name, level in (("x", 7e-9), ("y", 3e-9))}
     situation = replace(sitting(tmp_path), found={"noise": Outcome([], noise)})
     if refused:
-        with pytest.raises(CommissioningError, match=f"y: held out .*{said}.*the model is not fit for feedback"):
+        with pytest.raises(CommissioningError, match=f"y: held-out error .*{said}.*the model is not fit for feedback"):
             fitting.identify_coupled(situation)
     else:
         assert re.search(said, fitting.identify_coupled(situation).lines[2])

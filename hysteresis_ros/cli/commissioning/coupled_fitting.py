@@ -69,8 +69,8 @@ def identify_coupled(situation: StageSituation) -> Outcome:
         deviates = not 1.0 / DEVIATING <= gain <= DEVIATING
         own = f" ({100.0 * shape / motion:.2g} % with {gain:.3g} times the gain)" if deviates else ""
         lines.append(
-            f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion{own}; "
-            f"loops {percent:.2g} % of the stroke"
+            f"{name}: held-out error {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion"
+            f"{own}; loops {percent:.2g} % of the stroke"
         )
         unfit = ""
         if not 1.0 / STEEPEST < gain < STEEPEST:

@@ -135,7 +135,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
         )
     lines = [
         f"noise {1e9 * noise:.3g} nm RMS, drift {1e9 * drift:+.3g} nm/s, reads {readable(zero, 'm')} "
-        f"at {situation.safe:g} V at first"
+        f"at {situation.safe:g} V at the start"
     ]
     if noise == 0.0:
         lines.append("all readings are equal: noise below the resolution, or a sensor that does not measure the stage")
@@ -233,7 +233,7 @@ def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, per
     lines = [
         f"gain of small movements {1e6 * gain:.4g} µm/V (median up to "
         f"{found.frequency[:low][-1]:.3g} Hz), delay {1e3 * figures['delay_s']:.3g} ms including "
-        "the hold of a sample"
+        "the sample hold"
     ]
     if size[peak] > STANDS_OUT * gain:
         frequency, damping = _resonance(found)
