@@ -9,9 +9,9 @@
 
 """Registries of declarations in folders and in other packages, and notebook classes generated from them.
 
-Every module (or folder) in such a folder declares an object under one name, for instance ``MODEL``, or a tuple of such
-objects. The registry finds every module of the folder whose name does not begin with ``_``. Other packages add
-declarations by an entry point of the registry's group.
+Every module (or subfolder) in a registry's folder declares an object, or a tuple of objects, under the same name, for
+instance ``MODEL``. The registry finds every module of the folder whose name does not begin with ``_``. Other packages
+add declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
 entry of a registry. Each class is generated: the block, with a constructor that takes keywords.

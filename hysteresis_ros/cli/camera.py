@@ -136,4 +136,4 @@ def _print_scale(found) -> None:
     click.echo(f"      scale: {found.metres_per_pixel:.9e}    # m/px, ± {found.uncertainty:.1e}")
     if found.offset == found.offset:
         click.echo(f"      sign: {found.sign}\n      offset: {found.offset:.9e}    # m")
-        click.echo(f"# residual of the straight line: {1e9 * found.residual:.3g} nm rms")
+        click.echo(f"# RMS residual of the straight line: {1e9 * found.residual:.3g} nm")

@@ -34,7 +34,7 @@ RATE, SECONDS = 3e3, 0.5
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
 #: Largest number of cores that are measured individually.
 MOST_CORES = 4
-#: Folder with the settings of the processors, and folder with the other files of the system.
+#: Folders of the system with the settings of the processors, and with all other settings.
 PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")
 
 NOT_MEASURED = "not measured"

@@ -316,7 +316,7 @@ def _delays(progress: Progress) -> list[dict]:
 
 
 def _delayed(spin: float = -1.0, cpu: int = -1, whole: bool = False) -> Lateness:
-    """Run the loop for a moment, and return its lateness; ``spin`` [s]."""
+    """Run the loop for a short time, and return its lateness; ``spin`` [s]."""
     from hysteresis_ros.cli import delays
     from hysteresis_ros.loop.fused import trial
 

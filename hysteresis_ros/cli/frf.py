@@ -174,7 +174,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
 
 def _of_stage_whole(path: pathlib.Path, namespace) -> bool:
-    """Return whether the response matrix of a stage is wanted; refuse a single axis if other axes are excited too."""
+    """Return whether the response matrix of a stage is requested; refuse a single axis if others are excited too."""
     import numpy as np
 
     from hysteresis_ros.errors import ConfigurationError, RecordingError

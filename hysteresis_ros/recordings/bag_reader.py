@@ -520,7 +520,7 @@ def _stream_notes(file: pathlib.Path, result: StreamResult) -> list[str]:
         notes.append(f"{file.name} is still being written: it was read up to byte {result.whole}")
     elif not result.complete:
         notes.append(
-            f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records, {result.salvaged} "
+            f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records; {result.salvaged} "
             "messages were recovered from the open chunk"
         )
     return notes

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tables of any origin (text, MATLAB, NumPy): columns with any name are selected with a unit and converted to SI.
+"""Tables of any origin (text, MATLAB, NumPy): columns of any name are selected, and converted to SI.
 
 The layout of a text table is determined from its first lines: encoding, lines before the table, names and units of the
 columns, delimiter, decimal comma. NumPy reads the numbers block by block, so that only the selected columns are in
 memory; a block with cells that are not numbers is read again cell by cell.
 
-MATLAB files are checked here before SciPy reads them, because SciPy does not check types, sizes and dimensions: a
-damaged file can make it access invalid memory, which crashes the process. Source: The MathWorks, MAT-File Format,
-"Level 5 MAT-Files", tables 1-1 and 1-3.
+MATLAB files are checked before SciPy reads them, because SciPy does not check types, sizes and dimensions: a damaged
+file can crash the process by an access to invalid memory. Source: The MathWorks, MAT-File Format, "Level 5 MAT-Files",
+tables 1-1 and 1-3.
 
 :mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, in which every header names a unit.
 Other tables may name their columns ``control_V`` or ``y``; the user gives the missing units.
@@ -117,7 +117,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     kept = None if finite.all() else finite
     if kept is not None:
         count = int(np.count_nonzero(~finite))
-        warnings.append(f"{count} rows without a time omitted, the first is row {int(np.argmin(finite))}")
+        warnings.append(f"{count} rows without a time omitted; the first is row {int(np.argmin(finite))}")
     instants = time if kept is None else time[kept]
     distances = np.diff(instants)
     if np.all(distances > 0.0):
@@ -155,7 +155,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     at = int(np.argmax(again))
     words = [f"{twice} rows that repeat the previous one"] if twice else []
     words += [f"{other} rows with the time of the previous one and other values"] if other else []
-    warnings.append(f"{' and '.join(words)} omitted, the first at {instants[at]:.9g} s (row {at})")
+    warnings.append(f"{' and '.join(words)} omitted; the first at {instants[at]:.9g} s (row {at})")
     if kept is None:
         kept = ~again
     else:

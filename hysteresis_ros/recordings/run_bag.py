@@ -170,7 +170,7 @@ class SampleWriter:
         self._since = time.monotonic()
 
     def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
-        """Write samples into frames; ``values`` contains groups of numbers for each topic, of shape (numbers, n)."""
+        """Write samples into frames; ``values``: for each topic, groups of numbers of shape (numbers, n)."""
         begin = samples.start
         while begin < samples.stop:
             if not frames.count:

@@ -57,7 +57,8 @@ SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
 FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
 #: Evaluated part of each hold: this fraction at its end.
 JUDGED_PART = 0.2
-#: Largest error at the end of a small step: relative to the predicted error, and as a fraction of the step.
+#: Largest error at the end of a small step, relative to the predicted error; this much, as a fraction of the step, is
+#: always allowed.
 LEFT, RINGING = 6.0, 0.05
 #: Largest error of the scan, relative to the predicted error.
 ERROR_AS_PREDICTED = 1.5
