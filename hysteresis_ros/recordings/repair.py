@@ -240,6 +240,11 @@ def repair(path, output=None) -> Repair:
     """
     path = pathlib.Path(path)
     files = files_of(path)
+    if not files:
+        raise RecordingError(f"{path}: contains metadata.yaml, but no .mcap or .db3 file: nothing to recover")
+    for file in files:
+        if file.suffix not in STORAGES:
+            raise RecordingError(f"{file}: is compressed; decompress it (zstd -d {file.name}), and repair the result")
     storage = STORAGES[files[0].suffix]
     found = {file: storage.whole(file) for file in files}
     if path.is_dir() and None not in found.values() and _opens(path):

@@ -206,7 +206,7 @@ WRONG = {
     in_kilometres: "gain: the sensor does not move .* factor is about 0.001: does the driver use other units",
     in_tenths: "gain: the gain is 0.08",
     ringing: "gain: the stage does not settle",
-    tripping: "noise: the axis tripped after 0.05 s: the sensor measured more",
+    tripping: "noise: the axis tripped after 0.05 s: a measurement is outside the range",
     losing: "noise: 10.0 % of 1000 samples have no measurement or no voltage",
     stuck: "gain: a step of 5 V was commanded, but 1 V were applied",
     noisy: "noise: the sensor's noise at rest is",

@@ -292,7 +292,7 @@ def short(signals):
 
 WRONG = [
     ("noise", far, "noise: axis y: the sensor reads 5 mm at rest"),
-    ("noise", tripping, "noise: axis y: the axis tripped after 0.3 s: the sensor measured more"),
+    ("noise", tripping, "noise: axis y: the axis tripped after 0.3 s: a measurement is outside the range"),
     ("noise", losing, "noise: axis x: 10.0 % of 5000 samples have no measurement"),
     ("gain", swapped, "gain: 5 V at the actuator of x move the sensor of y by 1.8"),
     ("gain", reversed_sign, "gain: axis y: the sign is reversed"),

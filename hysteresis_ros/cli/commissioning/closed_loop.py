@@ -108,11 +108,16 @@ def _resting_reference(situation: Situation, configuration: Configuration) -> fl
     return min(max(0.0, low), high)
 
 
+def _ends_of_steps(situation: Situation, configuration: Configuration) -> tuple[float, float]:
+    """Return the position at rest, and the farther end of the range [m]: the small steps lie between them."""
+    low, high = _reach(situation, configuration)
+    rest = _resting_reference(situation, configuration)
+    return rest, high if high - rest >= rest - low else low
+
+
 def steps_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
     """Return the setpoints of the small steps in closed loop [m]."""
-    low, high = _reach(situation, configuration)
-    rest, rate = _resting_reference(situation, configuration), situation.rate
-    far = high if high - rest >= rest - low else low
+    (rest, far), rate = _ends_of_steps(situation, configuration), situation.rate
     place = rest + FIRST_STEP * (far - rest)
     parts = [hold(rest, STEP_HOLD, rate), way(rest, place, STEP_HOLD, rate), hold(place, STEP_HOLD, rate)]
     for part in STEPS:
@@ -193,7 +198,7 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
     configuration, namespace = designed(situation), situation.axis.namespace
     error = error_of(configuration, namespace, recording)
     expected = error_of(configuration, namespace, simulate(loop_axis(situation)))
-    rate, size = situation.rate, (STEPS[0] - FIRST_STEP) * np.ptp(_reach(situation, configuration))
+    rate, size = situation.rate, (STEPS[0] - FIRST_STEP) * abs(np.diff(_ends_of_steps(situation, configuration))[0])
     held = round(STEP_HOLD * rate)
     stops = [3 * held + (number + 1) * (held + round(STEP_WAY * rate)) for number in range(len(STEPS))]
     ends = [slice(stop - round(JUDGED_PART * held), stop) for stop in stops]

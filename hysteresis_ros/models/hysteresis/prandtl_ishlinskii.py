@@ -95,7 +95,8 @@ class PrandtlIshlinskiiParameters(Parameters):
             yield Problem("radii", self.radii, "must rise strictly")
         elif self.radii[0] != 0.0 or self.weights[0] <= 0.0:
             remedy = "must start with a play of radius 0 and weight above 0; otherwise no inverse exists"
-            yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], remedy)
+            name = "radii" if self.radii[0] != 0.0 else "weights"
+            yield Problem(name, getattr(self, name)[0], remedy)
         if len(self.thresholds) != len(self.zone_weights):
             yield Problem(
                 "zone_weights", self.zone_weights, f"must be as many numbers as thresholds ({len(self.thresholds)})"
