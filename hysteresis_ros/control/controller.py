@@ -12,7 +12,7 @@
 A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
 that starts from rest would move the command while it settles. Two controllers with the same model and Kalman filter
 share the observer and its state. The integrated states of the new law are set so that the command continues from its
-present value. If this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
+present value. If this is impossible, they are set to zero. The hand-over block behind the controller lets the remaining
 difference decay.
 """
 
@@ -162,7 +162,7 @@ class HandoverParameters(Parameters):
 
 
 class Handover(Block):
-    """Add a decaying bias to the input after :func:`arm`.
+    """Add a bias to the input, which decays after :func:`arm`.
 
     Parameters
     ----------
@@ -187,9 +187,9 @@ def arm(block: Handover, last: float | None = None, lasting: float | None = None
 
     Call it after a change of controller type or gains, after a stale measurement, and at a start after a stop. ``last``
     is the value to continue from if another (safe) output was sent after the block's last output. ``lasting`` is the
-    mean recent difference between the output and the new input. Only this part decays with the time constant. The rest
-    of the present difference is mostly noise and is halved in each sample, because a slowly decaying bias from noise
-    would disturb the feedback.
+    mean recent difference between the output and the new input. Only ``lasting`` decays with the time constant. The
+    rest of the present difference is mostly noise. It is halved in each sample, because a slowly decaying bias from
+    noise would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -335,7 +335,7 @@ def handover_block(parameters: ControllerParameters, sample_time: float) -> Hand
 
 #: Number of stored samples; they are enough for an observer to settle.
 SAMPLES = 500
-#: Number of last samples over which the commands of two controllers are compared.
+#: Number of last samples over which the difference between the commands of two controllers is averaged.
 AVERAGED = 50
 
 

@@ -26,9 +26,9 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 from hysteresis_ros.models.linear_algebra import inverse
 
-#: A gain counts as singular if the ratio of its smallest to its largest singular value is below this.
+#: A gain counts as singular if the ratio of its smallest to its largest singular value is at most this.
 SINGULAR = 1e-6
-#: Number of frequencies of the grid for margins, in addition to those around the poles.
+#: Number of frequencies on each scale of the grid for margins (linear, logarithmic), without those around the poles.
 GRID = 1500
 #: Number of balancing sweeps for the initial scalings.
 SWEEPS = 20
@@ -41,7 +41,7 @@ SOUGHT, KEPT = 1e-4, 1e-9
 def lost_direction(gain, names: Sequence[str]) -> str:
     """Return the combination of inputs that a singular gain maps to zero, such as ``+0.71 x, -0.71 y``.
 
-    The text is empty for a regular gain: its smallest singular value is more than :data:`SINGULAR` times the largest.
+    For a regular gain, whose smallest singular value exceeds :data:`SINGULAR` times the largest, the text is empty.
     """
     _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
     if sizes[-1] > SINGULAR * sizes[0]:
@@ -201,7 +201,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
     Raises
     ------
     ParameterError
-        The loop is not square.
+        The loop is not square, or has an algebraic loop: ``loop.D`` has the eigenvalue -1.
 
     References
     ----------

@@ -7,40 +7,40 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Feedforward: the command with which the model follows the reference, by stable inversion of its dynamics (W6).
+"""Feedforward: the command with which the model follows the reference, by stable inversion of its dynamics.
 
 **Zeros near the unit circle.** If two modes, or a mode above half the sample rate, are sampled, a pair of zeros may be
 half a per cent outside the unit circle, at frequencies far above those of the reference. The exact inverse of these
 zeros needs a command that oscillates at their frequency and starts to grow long before the reference changes. A small
-model error turns this command into a motion. Zeros inside the circle, and the zeros near -1 that the zero-order hold
-causes, need a command that alternates long after each corner: the displacement is correct at the samples, but
-oscillates between them. The inverse leaves out all these zeros without phase error. Let g(z⁻¹) be their polynomial with
-g(1) = 1. The reference passes through
+model error turns this command into a motion. Zeros just inside the circle, and the zeros near -1 that the zero-order
+hold causes, need a command that alternates long after each corner: the displacement is correct at the samples, but
+oscillates between them. The inverse leaves out all these zeros, without phase error. Let g(z⁻¹) be their polynomial
+with g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
-where p is a least-squares inverse [1]_ and θ is the lowest angle of the zeros. f cancels the zeros; at other
-frequencies it differs from one by ε (1 - cos ω)/(1 - cos θ)/(…), at low frequencies in proportion to ω². p is real and
-even. ε is the smallest value with which p decays within :data:`REACH` samples: a larger range makes f more accurate and
-the preview longer.
+where p is a least-squares inverse [1]_ and θ is the lowest angle of the zeros. f cancels the zeros. At other
+frequencies 1 - f ≈ p ε (1 - cos ω)/(1 - cos θ), which is proportional to ω² at low frequencies. p is real and even. ε
+is the smallest value with which p decays within :data:`REACH` samples: a larger REACH makes f more accurate and the
+preview longer.
 
 **Stable inversion.** The dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples
 later, where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k), this equation is a system with the
-input r(k+d) whose poles are the zeros of the dynamics. For zeros inside the unit circle the system runs forwards,
+input r(k+d); its poles are the zeros of the dynamics. For zeros inside the unit circle the system runs forwards,
 exactly. With zeros outside the circle, its state would grow without bound. Therefore the part of the state that belongs
 to these zeros is summed backwards over the future references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
-which requires all future references. Only N future samples are known: the reference is assumed constant after r(k+N).
+which requires all future references. Only N future samples are known; after r(k+N) the reference is assumed constant.
 The weights of the unknown future references decay with the preview as |λ|^(-N), where λ is the smallest zero outside
 the circle.
 
-**Delay.** A delay of whole samples adds to d. A fraction f of a sample is modelled by g = (1 - f) + f z⁻¹. At f = 1/2
-the zero of g is on the unit circle, and the exact inverse of g makes commands alternate from sample to sample. The
-fraction is inverted without phase error instead (Tomizuka 1987, doi:10.1115/1.3143822) by h = g* Σ_{i≤J} (1 - g g*)^i
-with g* = (1 - f) + f z. The remaining amplitude error is (4 f (1 - f) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up
-to a tenth of the sample rate.
+**Delay.** A delay of whole samples adds to d. A fraction q of a sample is modelled by c = (1 - q) + q z⁻¹. At q = 1/2
+the zero of c is on the unit circle, and the exact inverse of c makes commands alternate from sample to sample. The
+fraction is inverted without phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), by c* Σ_{i≤J} (1 - c c*)^i with
+c* = (1 - q) + q z. The remaining amplitude error is (4 q (1 - q) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up to a
+tenth of the sample rate.
 
 :func:`near_zeros` selects the zeros to leave out: zeros near or on the circle, at frequencies far above those of a
 reference. The filter f contains these zeros as the factor g, so f and the inverse of these zeros together are the
@@ -57,7 +57,7 @@ and reports evaluate the error against it.
 References
 ----------
 .. [1] Tomizuka, Zero phase error tracking algorithm for digital control, J. Dyn. Sys. Meas. Control 109 (1987) 65-68,
-   doi:10.1115/1.3143822. This paper uses p = 1; its amplitude is g g*.
+   doi:10.1115/1.3143822. With p = 1, as in this paper, f has the amplitude g g*.
 """
 
 from __future__ import annotations
@@ -206,7 +206,8 @@ class InverseFilter:
     Parameters
     ----------
     first : int
-        The relative degree d [samples]. It is smaller, possibly negative, with a fractional delay or left-out zeros.
+        Lead of the first weight [samples]: the relative degree d, or less (possibly below 0) with a fractional delay or
+        left-out zeros.
     weights : ndarray, shape (m,)
         Weights of r(k+first) … up to the preview; the last weight includes the weights of all references beyond the
         preview.
@@ -272,7 +273,7 @@ class _Parts(NamedTuple):
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
-    """Return the samples from an input to its first effect, delay included; ParameterError without any effect."""
+    """Return the samples from an input to its first effect, including the delay; ParameterError if it has no effect."""
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
 
 
@@ -353,7 +354,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return the response of the modes to a pulse, filtered by the factor that cancels them, m … 1 samples later."""
+    """Return the response of the modes, m … 1 samples after a pulse filtered by the factor that cancels them."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -362,7 +363,7 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 
 
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
-    """Return the projection, shape (n, n), along the other modes onto the modes with modulus above ``edge``.
+    """Return the projection, shape (n, n), onto the modes with modulus above ``edge``, along the other modes.
 
     The projection follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, computed by Newton's iteration. The radius
     ρ lies between the larger and the smaller modes.
@@ -386,7 +387,7 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i [m/m] of r(k+d+i) due to the outside zeros, up to the size of rounding errors."""
+    """Return the weights w_i [m/m] of r(k+d+i) of the zeros outside the circle, down to the size of rounding errors."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
@@ -402,7 +403,7 @@ def _advance(part: float) -> np.ndarray:
     """Return the weights of r(k-J) … r(k+J+1) that invert a delay of a fraction of a sample; 1 without such a delay."""
     if not part:
         return np.ones(1)
-    lost = part * (1.0 - part) * np.array([-1.0, 2.0, -1.0])  # 1 - g g*
+    lost = part * (1.0 - part) * np.array([-1.0, 2.0, -1.0])  # 1 - c c*
     power, total = np.ones(1), np.zeros(2 * TERMS + 1)
     for i in range(TERMS + 1):
         total[TERMS - i : TERMS + i + 1] += power
@@ -435,7 +436,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     Raises
     ------
     ParameterError
-        ``feedforward.preview`` is less than the relative degree, or zeros lie on the unit circle.
+        ``feedforward.preview`` is too short for the dynamics and their delay, or zeros lie on the unit circle.
     """
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
@@ -512,8 +513,8 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
         places = (np.angle(zero) / (2.0 * math.pi) * rate for zero in given.left_out.zeros if zero.imag >= 0.0)
         found.append(
             f"{prefix}feedforward.type = inverse_dynamics: zeros of model.dynamics next to the unit circle "
-            f"({', '.join(f'{place:.4g}' for place in places)} {unit}) are not inverted; the command is wrong by less "
-            f"than 1 % up to {given.left_out.known_to * rate:.3g} {unit}"
+            f"({', '.join(f'{place:.4g}' for place in places)} {unit}) are not inverted; the error of the command is "
+            f"below 1 % up to {given.left_out.known_to * rate:.3g} {unit}"
         )
     if given.error > GOOD_ENOUGH:
         found.append(
@@ -604,7 +605,7 @@ class FeedforwardParameters(Parameters):
         choices=("none", "static", "velocity", "inverse_dynamics"),
         read_only=True,
         description="none, static (the delayed reference itself: the model has unit DC gain), velocity (the reference "
-        "shifted by the mean delay of model.dynamics, with its velocity; for smooth references not known ahead), "
+        "plus its velocity times the mean delay of model.dynamics; for smooth references not known ahead), "
         "or inverse_dynamics (stable inversion of model.dynamics; needs preview)",
     )
     preview: int = parameter(
@@ -686,7 +687,7 @@ class Feedforward(Block):
                 [Problem("model.dynamics.A", parameters.model.dynamics.A, "the model's order is fixed while running")]
             )
         self.parameters = parameters
-        # the states are shifted so that a feedforward in its steady state stays in the steady state of the new model
+        # the states are shifted so that a feedforward in steady state is also in steady state with the new model
         length, order = _ring_length(packed), int(packed[ORDER])
         ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order

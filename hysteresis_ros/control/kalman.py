@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Kalman filter with a steady gain, in predictor or current form, with or without a model of the disturbance (K6).
+"""Kalman filter with a steady gain, in predictor or current form, with or without a model of the disturbance.
 
 All signals are in the model's own units. At sample k the filter receives the input actually applied at sample k - 1 and
 the measurement y_k = C x_k + D u_(k-1). With the estimated disturbance d̂_k of the input in sample k, the forms are
@@ -166,7 +166,7 @@ class KalmanParameters(Parameters):
     )
     L: tuple[float, ...] = parameter(
         (),
-        description="Gain when given, in the chosen form: one entry per state of the model, then one per state of the "
+        description="given: gain in the chosen form, one entry per state of the model, then one per state of the "
         "disturbance (constant 1, ramp 2, periodic 1 + 2 harmonics)",
     )
     q: float = parameter(
@@ -181,7 +181,7 @@ class KalmanParameters(Parameters):
         choices=("none", "constant", "ramp", "periodic"),
         read_only=True,
         description="Model of the input disturbance that is estimated and compensated: none, constant (offset-free), "
-        "ramp (and its increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
+        "ramp (value and increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
     )
     q_disturbance: float = parameter(
         1e-4,
@@ -258,8 +258,8 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     """Return the filter gain in the chosen form, shape (n + m,); the disturbance's model has m states.
 
     ``model`` has one input and one output and is in its own units. The sample time [s] is needed only for a periodic
-    disturbance. ParameterError: there is no stable filter with the named parameter of ``kalman`` or with
-    ``model.dynamics.C``.
+    disturbance. ParameterError about a parameter of ``kalman`` or about ``model.dynamics.C``: there is no stable
+    filter.
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:

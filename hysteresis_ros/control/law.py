@@ -291,7 +291,7 @@ class ControllerLaw:
         if compared is not None:
             warnings.warn(
                 f"controller {self.name}: compared = {compared!r} has no effect, because a law no longer "
-                "contains its rows of hysteresis compare; leave it out and declare the rows by an entry "
+                "contains its rows of hysteresis compare; remove it and declare the rows by an entry "
                 "point of the group "
                 '"hysteresis_ros.compared" (docs/extending.md)',
                 RuntimeWarning,

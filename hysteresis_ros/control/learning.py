@@ -61,9 +61,9 @@ class LearningParameters(Parameters):
         "none",
         choices=("none", "inversion", "norm_optimal", "repetitive", "coupled"),
         read_only=True,
-        description="none, or how hysteresis design --learning has designed the filters: inverse of the "
-        "closed loop, weights on error and correction, or repetitive controller with phase lead; coupled: corrections "
-        "of all axes of a stage, learned together from run to run, which stay the same during a run",
+        description="none, or the method of hysteresis design --learning: inversion (of the closed loop), norm_optimal "
+        "(weights on error and correction) or repetitive (phase lead and gain); coupled: corrections of all axes of a "
+        "stage, learned together from run to run and constant during a run",
     )
     period: float = parameter(
         0.0, unit="s", low=0.0, read_only=True, description="period of the reference, a whole number of samples"
@@ -71,7 +71,7 @@ class LearningParameters(Parameters):
     error_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of Q L, from the tap of the error furthest ahead to the tap of the oldest error",
+        description="taps of Q L, from the tap of the latest error to the tap of the oldest error",
     )
     lead: int = parameter(
         0, low=0, high=LONGEST, read_only=True, description="lead of the first tap of error_filter [samples]"
@@ -302,7 +302,7 @@ CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # number of samples until the response to a saturated command or a late voltage has decayed
 LOST = 6  # entry of the recovering samples in the ring of errors: LIMITED or NaN
 STORED = 7  # correction from a file: number of samples on its path until it is treated like any other correction;
-# more than a period: the axis is not on the path, and the correction stays stored; 0: no file, or the file is used up
+# more than a period: the axis is not on the path, and the correction stays stored; 0: there is no such correction
 FIRST = 8  # reference of the first sample of this period [m]
 MOVED = 9  # 1: the reference has left the value FIRST in this period
 RINGS = 10

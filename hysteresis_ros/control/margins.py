@@ -25,8 +25,8 @@ half the sample rate.
 
 A measured loop is also cut at the command. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
 range of a margin follows from the circles of uncertainty around L at the measured frequencies. The points of the
-circles nearest to −1 give the range of the sensitivity. The circles along the real axis give the range of the gain
-margin, and the circles along the unit circle give the range of the phase margin.
+circles nearest to −1 give the range of the sensitivity. The circles that meet the real axis give the range of the gain
+margin, and those that meet the unit circle give the range of the phase margin.
 
 References
 ----------
@@ -112,7 +112,7 @@ def _parts(commands, displacements) -> np.ndarray:
     return -commands[:, 0, 1:] * displacements[:, :, 0]
 
 
-#: Number of frequencies of the grid, and number of frequencies added around each pole.
+#: Number of frequencies on each scale of the grid (linear, logarithmic), and number of frequencies around each pole.
 GRID = 3000
 AROUND_POLE = 61
 #: An interval with a crossing is divided into PARTS parts. This is repeated ROUNDS times, which is exact to rounding,
@@ -184,7 +184,7 @@ class Margins:
         Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if there
         is no such frequency below half the sample rate.
     noise_gain, command_noise_gain : float
-        RMS of displacement and of command per RMS of white noise of the sensor, [m/m].
+        RMS of displacement and of command per RMS of white sensor noise [m/m].
     poles : ndarray
         Closed-loop poles, the slowest first.
     sample_time : float
@@ -250,7 +250,7 @@ class Judged(NamedTuple):
     delay_margin : float
         [samples]
     noise_gain, command_noise_gain : float
-        RMS of displacement and of command per RMS of white noise of the sensor.
+        RMS of displacement and of command per RMS of white sensor noise [m/m].
     rejection : float
         Frequency up to which disturbances are rejected, that is, |S| is below −3 dB [Hz]; 0 if a constant disturbance
         is not rejected.
@@ -294,7 +294,7 @@ def judge(
     sample_time : float
         Sample time [s].
     grid : int
-        Number of frequencies, in addition to the frequencies around the poles.
+        Number of frequencies on each scale of the grid (linear, logarithmic), without those around the poles.
     with_bandwidth : bool
         Whether to search for the bandwidth.
     """
@@ -387,7 +387,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
 
 
 def _responses(controller: StateSpace, plant: StateSpace, angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return L, |command per measurement| in open loop, and |displacement per reference| in closed loop."""
+    """Return L, |command / measurement| of the controller, and |displacement / reference| of the closed loop."""
     z = np.exp(1j * angles)
     commands, displacements = controller.response(z), plant.response(z)
     loop = np.sum(_parts(commands, displacements), axis=1)
@@ -614,10 +614,10 @@ def loop_of(
     """Return the loop of a known controller with a measured plant.
 
     ``controller`` has the output command, and the inputs reference, measured displacement and, with force damping,
-    quasi-static displacement. ``plant``, shape (F,), is the response from command to measured displacement, sampled at
-    the same instants, at ``frequency`` [Hz]; ``radius``, shape (F,), contains the radii of the circles around it.
-    ``model`` has the input command, and as outputs all inputs of the controller except the reference; it is needed if
-    there is more than one such input. Units: ``sample_time`` [s].
+    quasi-static displacement. ``plant``, shape (F,), is the sampled response from command to measured displacement at
+    ``frequency`` [Hz]; ``radius``, shape (F,), contains the radii of the circles around it. ``model`` has the input
+    command, and as outputs all inputs of the controller except the reference; it is needed if there is more than one
+    such input. Units: ``sample_time`` [s].
     """
     z = np.exp(2j * np.pi * frequency * sample_time)
     feedback = -controller.response(z)[:, 0, 1]
@@ -633,7 +633,7 @@ def _between(values, place: int, part: float) -> float:
 
 
 def _around(place: int, touching) -> np.ndarray:
-    """Return the contiguous indices in ``touching`` around a crossing between ``place`` and the next index."""
+    """Return the contiguous ``touching`` indices around a crossing between ``place`` and the next index."""
     first, last = place + 1, place
     while first > 0 and touching[first - 1]:
         first -= 1

@@ -40,8 +40,8 @@ from hysteresis_ros.models.linear_algebra import eigenvalues, product
 #: Largest bandwidth of the pole [cycles per sample], and maximum number of its halvings.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Range of the filter, as exponents of two of a ratio: change of the disturbance per sample divided by the noise, both
-#: as the filter assumes them.
+#: Slowest and fastest filter, as exponents of two: the change of the disturbance per sample divided by the measurement
+#: noise, as the filter assumes both.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
 #: Weight of the penalty on a bandwidth above the bandwidth of the feedback.
 IN_VAIN = 0.05
@@ -57,8 +57,8 @@ def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanP
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {
-        # without an estimated disturbance, the filter must follow the measurement; otherwise a mismatch has no effect
-        # on the estimate
+        # without an estimated disturbance, the filter must follow the measurement, or the estimate would not show a
+        # mismatch
         "none": {"q": 100.0 * variance},
         "constant": {"q": 0.01 * variance, "q_disturbance": variance},
         "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
@@ -189,7 +189,7 @@ def excess(found: Judged, aimed: Requirements) -> float:
 
 #: Input weight of the LQ problem as a fraction of the squared DC gain.
 INPUT_WEIGHT = 0.025
-#: Largest pole that a requested bandwidth may need, and relative accuracy of the pole that is searched for it.
+#: Largest pole in the search for a requested bandwidth, and relative accuracy of this search.
 SLOWEST = 0.99999
 PRECISION = 1e-5
 #: A requested bandwidth may be below the smallest possible one by at most this fraction.
@@ -217,7 +217,9 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     """
     given, dynamics = task.parameters, task.parameters.model.dynamics
     if not dynamics.order:
-        state_feedback.refuse("model.dynamics.A", dynamics.A, f"{name} needs a model with a state; choose pid")
+        state_feedback.refuse(
+            "model.dynamics.A", dynamics.A, f"{name} needs a model with at least one state; choose pid"
+        )
     found = replace(given, sliding_mode=lq_surface(given.sliding_mode, dynamics))
     kept = given.kalman.disturbance if given.kalman.disturbance != "none" else "constant"
     disturbance = kept if disturbed else "none"

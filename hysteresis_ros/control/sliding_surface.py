@@ -75,7 +75,7 @@ class SlidingModeParameters(Parameters):
         description="How S is determined: given, from an LQ problem, or from the poles of the sliding motion",
     )
     S: tuple[float, ...] = parameter(
-        (), description="Hyperplane when given: one entry per state; with integral tracking one more, for the integral"
+        (), description="given: hyperplane, one entry per state; with integral tracking one more, for the integral"
     )
     lq_state_weight: tuple[float, ...] = parameter(
         (),
@@ -103,8 +103,8 @@ class SlidingModeParameters(Parameters):
         0.5,
         low=-1.0,
         high=1.0,
-        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), determines how fast disturbances "
-        "are rejected that the filter does not estimate; 0: within one sample, nearer to 1: more smoothly",
+        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), the rejection of disturbances that the "
+        "filter does not estimate; 0: within one sample, nearer to 1: slower and smoother",
     )
     eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part against the magnitude of s / (S B)")
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
@@ -208,7 +208,7 @@ SLOPE = 9
 LEVEL = 10
 WIDTH = 11
 THRESHOLD = 12
-MOVING = 13  # 1.0: the target is the trajectory given by the feedforward
+MOVING = 13  # 1.0: the target is the model's trajectory under the feedforward
 LAMBDA = 14  # S B
 PHI = 15
 OWN = 16  # first of the three entries that each law uses for its own parameters
@@ -331,7 +331,7 @@ def pack_surface(parameters, sample_time: float | None):
                 Problem(
                     "kalman.disturbance",
                     kalman.disturbance,
-                    "and sliding_mode.tracking = 'integral' would be two integrators for one offset; set "
+                    "with sliding_mode.tracking = 'integral': two integrators would act on one offset; set "
                     "kalman.disturbance to none, or sliding_mode.tracking to target",
                 )
             ]

@@ -283,7 +283,7 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
         refuse(
             "sliding_mode.lq_state_weight",
             given,
-            "must give every mode that does not decay a weight; one has weight 0",
+            "every mode that does not decay must have a weight above 0; one has weight 0",
         )
     P = _riccati(A, B, state_weight, input_weight, "sliding_mode.lq_state_weight", given)
     S = product(B.T, P)[0]

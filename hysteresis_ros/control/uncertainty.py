@@ -17,9 +17,9 @@ loop transfer function from −1 is at least |1 + L| − l |L|; the inverse of t
 
 Above the highest known frequency not even the magnitude of the plant's response is known. There, a resonance with the
 damping ratio :data:`DAMPING` is assumed at the worst frequency. The resonance adds a/(2 DAMPING) times the static
-response to the response of the plant, and the loop multiplies this addition by the feedback gain |C|. Here a is the
-fraction of the displacement that passes through the resonance. The fraction a is assumed to be 1, but less just above
-the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), and the measurement would have
+response to the response of the plant, and the loop multiplies this addition by the feedback gain |C|. Here a, the
+fraction of the displacement that passes through the resonance, is assumed to be 1. Just above the known range a smaller
+fraction is assumed: a resonance at f changes the response at f' < f by a/((f/f')² − 1), and the measurement would have
 shown a large change.
 
 References
@@ -240,7 +240,8 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Number of factors on the times for which plants with aliased modes are computed: their resonances are narrow.
+#: Number of factors on the times for which plants with aliased modes are computed; it is large, because their
+#: resonances are narrow.
 ALIASED = 11
 
 
@@ -267,7 +268,7 @@ UNKNOWN = 1.0 / (2.0 * DAMPING)
 #: If a resonance carries the whole displacement and its frequency is below this multiple of the known range, it changes
 #: the known response by more than half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
-#: Relative distance below which a resonance cannot be distinguished from the known range.
+#: Smallest (f/f')² − 1 of a resonance at f that the end f' of the known range is assumed to show.
 NEAREST = 0.12
 #: Required distance of the loop transfer function from −1, for every plant within the uncertainty.
 KEPT = 0.2
@@ -366,7 +367,7 @@ class ResponseUncertainty:
         return UNKNOWN * self.share(frequencies)
 
     def assumption(self, sample_time: float) -> str:
-        """Return the reason for a limit of the loop as text, if any: the crossover, or the assumed resonance."""
+        """Return as text what limits the loop: the highest crossover, the assumed resonance, or nothing (empty)."""
         if self.crossover < np.inf:
             return (
                 "the recording shows a movement that the model lacks, so no crossover above "

@@ -13,16 +13,16 @@ Let w be the output of the law, y the measured displacement without preload offs
 stack. With a filter F(z) of the measurement the command is u = γ w + F y. The factor γ = 1 − F(1) P(1) keeps the DC
 gain of the model P, so that gains, inverses and steady states of a law stay valid with damping. With a filter of the
 law's output, the command is u = F w; with a filter of the force, it is u = γ w + F f. The force f = (k_a + k_f) d − k_a
-y, where d is the quasi-static displacement, passes through the high-pass of the force sensor before the filter; the
-plant then has the outputs (y, d).
+y, where d is the quasi-static displacement, passes through the high-pass of the force sensor before the filter; in this
+case the plant has the outputs (y, d).
 
 An achieved command u_applied corresponds to the output of the law
 
 w_applied = w + (u_applied − u) / b
 
 where b is the direct gain from w to u. Without saturation, w_applied is exactly w. A filter of a measurement does not
-wind up, because saturation does not change its input. A filter of the law's output has unit DC gain, and the effect of
-a saturation on it decays with its time constants.
+wind up, because its input is measured even while the command is saturated. A filter of the law's output has unit DC
+gain, and the effect of a saturation on it decays with its time constants.
 """
 
 from __future__ import annotations
@@ -301,8 +301,8 @@ def damped(
             remedy = f"reverses the sign of the plant (γ = {loop.direct:.4g}); lower the gain of the damping"
         else:
             remedy = (
-                f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
-                "its gain, or let `hysteresis design --damping` find it"
+                f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, must be below 1; lower the "
+                "gain of the damping, or let `hysteresis design --damping` find it"
             )
         raise ParameterError([Problem(f"damping.{damping.type}", given, remedy)])
     return replace(
@@ -328,7 +328,7 @@ MATRICES = 6
 PARAMETERS = MATRICES + MOST_STATES * (MOST_STATES + 3)
 
 # State array: a head, then n states and n entries of scratch.
-STARTED = 0  # 0.0: the next call starts at rest
+STARTED = 0  # 0.0: the next call starts the filter in steady state
 OUTPUT = 1  # last output of the law, w [m]
 COMMAND_PLACE = 2  # last command, u [m]
 FILTERED = 3  # last input of the filter [m] or [N]
@@ -413,8 +413,8 @@ class Damping(Block):
     def retune(self, parameters) -> None:
         """Change the filter, or its kind, while running; the caller must then arm the hand-over behind the damping.
 
-        The states of a filter of the same kind and order continue; they are shifted by the change of their steady state
-        for the present input. A filter of another kind or order starts in its steady state.
+        The states of a filter of the same kind and order continue; they are shifted by the change that the new filter
+        causes in their steady state at the present input. A filter of another kind or order starts in its steady state.
 
         Raises
         ------

@@ -85,7 +85,8 @@ class DampingKind:
         ``MOST_STATES`` states. It raises ParameterError, with names relative to the kind's group, if the filter cannot
         run at this sample time.
     ranges : callable
-        ``ranges(mode)`` returns boxes, each a tuple of (low, high, logarithmic), in which a design searches.
+        ``ranges(mode)`` returns the boxes in which a design searches. A box has one (low, high, logarithmic) for each
+        coordinate.
     chosen : callable
         ``chosen(point, mode)`` returns the parameters for a point of such a box.
     """

@@ -9,8 +9,8 @@
 
 r"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
 
-The switching function is the distance, weighted by S, of the state from the state of the nominal dynamics. Both states
-start at the same point (x̄_0 = x̂_0, so s_0 = 0):
+The switching function is S times the distance of the state from that of the nominal dynamics. Both states start at the
+same point (x̄_0 = x̂_0, so s_0 = 0):
 
 .. math::
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup (B4).
+r"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup.
 
 .. math::
 
@@ -203,7 +203,7 @@ class PidParameters(Parameters):
         0.0,
         unit="rad/s",
         low=0.0,
-        description="Cut-off of two low-passes of first order through which reference and measurement pass; 0: none",
+        description="Cut-off of two first-order low-passes through which reference and measurement each pass; 0: none",
     )
     setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: weight of the reference in the P part")
     derivative_weight: float = parameter(
@@ -212,14 +212,14 @@ class PidParameters(Parameters):
     anti_windup: str = parameter(
         "back_calculation",
         choices=("none", "clamping", "back_calculation"),
-        description="What the integral does while the command is saturated: continue, stop, or follow the "
-        "achieved command",
+        description="What the integral does while the command is saturated: continue (none), stop (clamping), or "
+        "follow the achieved command (back_calculation)",
     )
     tracking_time: float = parameter(
         0.0,
         unit="s",
         low=0.0,
-        description="T_t of back-calculation; 0: sqrt(Kd/Ki); Kp/Ki if Kd = 0; one sample time if Kp = 0 too",
+        description="T_t of back-calculation; 0: sqrt(Kd/Ki), or Kp/Ki if Kd = 0, or one sample time if Kp = 0 too",
     )
     anti_windup_threshold: float = parameter(
         0.02,
@@ -295,7 +295,7 @@ def require_stable_pid(parameters, sample_time: float | None) -> None:
     """Raise ParameterError for gains that make the controller's own model unstable.
 
     Nothing is checked without a sample time, or without a model. There is no model if A is missing and the input scale
-    is not 0, because the gain is then unknown.
+    is not 0, because in this case the gain is unknown.
     """
     dynamics, gains = parameters.model.dynamics, parameters.pid
     if sample_time is None:
@@ -455,8 +455,8 @@ def design_pid(
     Parameters
     ----------
     given : PidParameters
-        Parameters. The design replaces the gains, the setpoint weights and, if a derivative filter is needed and its
-        given cut-off is 0, this cut-off.
+        Parameters. The design replaces the gains and the setpoint weights, removes a roll-off, and chooses the cut-off
+        of the derivative filter if a PID needs it and the given cut-off is 0.
     dynamics : LinearParameters
         The model.
     sample_time : float

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Sliding mode controller with boundary layer, for the state that a Kalman filter estimates (K5, K6).
+r"""Sliding mode controller with boundary layer, for the state that a Kalman filter estimates.
 
 Let x_e = x̂ − x* be the distance from the target (rest point or trajectory, see
 :mod:`hysteresis_ros.control.sliding_surface`), s = S x_e the switching function and Λ = S B:

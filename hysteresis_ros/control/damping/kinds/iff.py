@@ -79,7 +79,7 @@ def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges for both signs of α: α times stiffness divided by ω, and both corners divided by ω."""
+    """Return the search ranges, for both signs of α, of α times stiffness / ω and of the common corner / ω."""
     corner = (0.03, 3.0, True)
     return ((0.1, 10.0, True), corner), ((-10.0, -0.1, True), corner)
 

@@ -65,16 +65,16 @@ def irc(parameters: IrcParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges of (DC gain of the feedback, corner of the filter [rad/s]), for both signs of gain."""
+    """Return the search ranges of (DC gain of the loop, corner of the filter [rad/s]), for both signs of the gain."""
     omega = 2.0 * math.pi * mode.frequency
     corner = (0.05 * omega, 20.0 * omega, True)
-    # positive feedback with 0.4 times the plant's gain has a gain margin of 8 dB: the required 6 dB, and 25 % gain
-    # error
+    # positive feedback with a DC gain of the loop of 0.4 has a gain margin of 8 dB: the required 6 dB, and 25 % for an
+    # error of the plant's gain
     return ((0.05, 0.4, True), corner), ((-2.0, -0.05, True), corner)
 
 
 def chosen(point, mode: Mode) -> IrcParameters:
-    """Return the parameters for a DC gain of the feedback and a corner."""
+    """Return the parameters for a DC gain of the loop and a corner."""
     feedback, corner = point[0] / mode.gain, point[1]
     return IrcParameters(k=shortened(feedback * corner), feedthrough=shortened(-1.0 / feedback))
 

@@ -88,7 +88,7 @@ def chosen(point, mode: Mode) -> NotchParameters:
 
 DAMPING = DampingKind(
     name="notch",
-    description="one to four notch filters behind the law, which neither excites nor damps the resonances",
+    description="one to four notch filters behind the law, so that it neither excites nor damps the resonances",
     source=COMMAND,
     parameters=NotchParameters,
     filter=notch,

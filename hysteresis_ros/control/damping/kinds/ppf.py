@@ -11,7 +11,7 @@
 
 u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
 
-The factor γ keeps the DC gain. Below its frequency, a filter changes the stiffness; at its frequency, it damps. If the
+The factor γ keeps the DC gain. A filter changes the stiffness below its frequency, and damps at its frequency. If the
 delay of the loop is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, g
 < 0.
 
@@ -81,7 +81,7 @@ def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return the search ranges of (gain, frequency [Hz], damping) of one filter, for both signs."""
+    """Return the search ranges of (DC gain of the loop, frequency [Hz], damping) of one filter, for both signs."""
     frequency, damping = (0.3 * mode.frequency, 3.0 * mode.frequency, True), (0.05, 2.0, True)
     return ((0.02, 0.4, True), frequency, damping), ((-1.0, -0.02, True), frequency, damping)
 
