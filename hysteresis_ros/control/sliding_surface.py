@@ -11,8 +11,8 @@
 
 With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and Λ = S B:
 
-rest point x* = N_x r, u* = N_u r: the model's equilibrium at the reference
-trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
+rest point  x* = N_x r, u* = N_u r: the model's equilibrium at the reference
+trajectory  x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with feedforward ``inverse_dynamics`` or ``velocity``
 
 The trajectory starts at rest on the reference. With a static feedforward the target is still the rest point, because
 this feedforward gives the command of the rest point, and the model's response to it would ring.
