@@ -53,7 +53,7 @@ class MotionController(Controller):  # numpydoc ignore=PR02
         """
         wanted, seen = samples("reference", reference), samples("measured", measured)
         if wanted.shape != seen.shape:
-            raise HysteresisError(f"reference has {wanted.size} samples and measured {seen.size}; both must be equal")
+            raise HysteresisError(f"reference has {wanted.size} samples, measured {seen.size}; give equal numbers")
         return super().simulate(wanted, seen)
 
 

@@ -179,10 +179,10 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
         f = (1 + (1 - σ)/2 δ) / (1 - (1 + σ)/2 δ),  abs(δ) < α,
 
     which represents any change of gain and phase within a disk around 1. The margin is the largest α for which the
-    loops stay stable [1]_. For a single loop, 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2).
-    For independent factors in all loops, 1/α is the largest structured singular value of S + (σ - 1)/2 I. The
-    structured singular value is bounded from above by the largest singular value of D (…) D⁻¹, minimised over diagonal
-    D. This bound is exact for up to three loops; for more loops the returned margin is conservative.
+    loops stay stable [1]_. For a single loop, 1/α is the maximum of abs(S_ii + (σ - 1)/2) over frequency. For
+    independent factors in all loops, 1/α is the largest structured singular value of S + (σ - 1)/2 I. The structured
+    singular value is at most the largest singular value of D (S + (σ - 1)/2 I) D⁻¹, minimised over diagonal D. This
+    bound is exact for up to three loops; for more loops the returned margin is conservative.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
         raise ParameterError([Problem("loop", (len(loop.C), count), allowed)])
     opened = np.eye(count) + loop.D
     if np.linalg.cond(opened) > 1.0 / BOUNDARY:
-        raise ParameterError([Problem("loop.D", loop.D.tolist(), "must not have the eigenvalue -1: an algebraic loop")])
+        raise ParameterError([Problem("loop.D", loop.D.tolist(), "must not have the eigenvalue -1 (algebraic loop)")])
     poles = np.linalg.eigvals(loop.A - loop.B @ np.linalg.solve(opened, loop.C))
     if np.max(np.abs(poles), initial=0.0) >= 1.0 - BOUNDARY:
         none = DiskMargin(0.0, math.nan, skew)
@@ -316,7 +316,7 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 
 def _worst(grid) -> int:
-    """Return the index of the largest structured singular value; matrices with a smaller balanced bound are skipped."""
+    """Return the index of the largest structured singular value; the balanced bounds exclude most matrices."""
     if grid.shape[1] <= 2:
         return int(np.argmax(_up_to_two(grid)))
     _, sizes = _balanced(grid)

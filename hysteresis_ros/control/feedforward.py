@@ -247,7 +247,7 @@ class InverseFilter:
 
 
 class _Parts(NamedTuple):
-    """The inverse in two parts, in model units: causal (A, B, C); anti-causal (Λ⁻¹, β, γ), or None; and feedthrough.
+    """The inverse in model units: causal part (A, B, C), anti-causal part (Λ⁻¹, β, γ) or None, and feedthrough.
 
     The anti-causal part is in the coordinates of the dynamics' state, where Λ⁻¹ is zero for the modes inside the
     circle. ``near`` contains the weights of the left-out modes for the reference filtered by g* p, from m samples ago

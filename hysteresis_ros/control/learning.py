@@ -116,7 +116,7 @@ class LearningParameters(Parameters):
     )
     active: bool = parameter(
         True,
-        description="true: learn from the beginning; false: begin frozen; the services `learn` and `freeze` change it",
+        description="true: begin with learning; false: begin frozen; the services `learn` and `freeze` change this",
     )
     file: str = parameter("", read_only=True, description="file of an initial correction; '': none", place="files")
     save_file: str = parameter(
@@ -161,7 +161,7 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
             f"is {samples:.6g} samples; must be a whole number of samples: the nearest at {sample_rate:g} Hz are "
             f"{low:.9g} s ({1.0 / low:.9g} Hz) and {high:.9g} s ({1.0 / high:.9g} Hz)"
             if low
-            else f"is shorter than a sample at {sample_rate:g} Hz"
+            else f"is shorter than a sample at {sample_rate:g} Hz; must be at least 2 samples"
         )
         raise ParameterError([Problem(name, period, remedy)])
     if not 2 <= count <= LONGEST:

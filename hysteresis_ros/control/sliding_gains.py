@@ -325,6 +325,6 @@ def integration_warning(parameters, prefix: str) -> tuple[str, ...]:
     if parameters.kalman.disturbance != "none":
         return ()
     return (
-        f"{prefix}kalman.disturbance = none: {parameters.type} then detects a disturbance only "
+        f"{prefix}kalman.disturbance = none: {parameters.type} detects a disturbance only "
         "through the innovation and rejects only a part of it; choose constant",
     )

@@ -121,7 +121,7 @@ def steady_state(model: StateSpace):
         refuse(
             "model.dynamics.C",
             tuple(model.C[0].tolist()),
-            "the DC gain of the model is zero, so no command holds a displacement; give a model with DC gain",
+            "the DC gain of the model is zero, so no command holds a displacement; give a model with another DC gain",
         )
     solution = solve(system, np.append(np.zeros(n), 1.0))
     return solution[:n], float(solution[n])
@@ -238,7 +238,11 @@ def hyperplane_from_poles(A, B, poles):
         columns.append(product(A, columns[-1]))
     controllability = np.column_stack(columns)
     if not full_rank(controllability):
-        refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "the model is not controllable, so poles cannot be placed")
+        refuse(
+            "model.dynamics.B",
+            tuple(B[:, 0].tolist()),
+            "the model is not controllable, so poles cannot be placed; set sliding_mode.hyperplane to lq",
+        )
     S = solve(controllability.T, np.eye(n)[-1])
     result = np.zeros(n)
     for coefficient in polynomial(poles):
@@ -292,7 +296,7 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
         refuse(
             "sliding_mode.lq_state_weight",
             given,
-            "must weigh states that the input affects, e.g. the output; now the input has no effect on the cost",
+            "must weight states that the input affects, such as the output; the input has no effect on this cost",
         )
     return S / scale
 
