@@ -268,7 +268,7 @@ def test_what_is_left_out_is_said_and_what_cannot_be_is_refused():
     dynamics = replace(realised(pair(1.003, 2.3), [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
     preview = designed_preview(dynamics)
     (text,) = preview_warning(dynamics, preview)
-    assert "366.1 Hz) are not inverted" in text and "wrong by less than 1 % up to 5" in text
+    assert "366.1 Hz) are not inverted" in text and "the error of the command is below 1 % up to 5" in text
     with pytest.raises(ParameterError, match=r"must be at least 13: .*next to the unit circle needs 12 more"):
         inverse_filter(dynamics, 10)
     slow = realised(pair(1.003, 0.5), [*pair(0.9, 0.9), 0.6])
