@@ -9,11 +9,11 @@
 
 """The motion controller: its laws by name, its parameters and blocks, and bumpless transfer to other laws or gains.
 
-A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
-that starts from rest would move the command while it settles. Two controllers with the same model and Kalman filter
-share the observer and its state. The integrated states of the new law are set so that the command continues from its
-present value. If this is impossible, they are set to zero. The hand-over block behind the controller lets the remaining
-difference decay.
+A new law first processes the last samples of the run, as if it had run in parallel with its predecessor, because an
+observer that starts from rest would move the command while it settles. Two controllers with the same model and Kalman
+filter share the observer and its state. The integrated states of the new law are set so that the command continues from
+its present value. If this is impossible, they are set to zero. The hand-over block behind the controller lets the
+remaining difference decay.
 """
 
 from __future__ import annotations
@@ -409,7 +409,7 @@ def successor(
     lasting = None
     if made.runs_beside and len(history.samples):
         wanted = _beside(made, history)
-        # the achieved command of a sample becomes known one sample later
+        # the achieved command of a sample is known one sample later
         carried_out = history.samples[1:, APPLIED_THEN].tolist() + [predecessor.x[APPLIED]]
         recent = list(zip(carried_out, wanted, strict=True))[-AVERAGED:]
         lasting = math.fsum(one - other for one, other in recent) / len(recent)

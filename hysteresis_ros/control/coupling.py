@@ -9,8 +9,8 @@
 
 """Coupled loops: interaction through a static gain, its decoupling, and the margins of several loops together.
 
-Loops are square, with n commands and n measurements. The loop transfer L is cut at the commands: plant, then
-controllers, with negative feedback, so that S = (I + L)⁻¹.
+Loops are square, with n commands and n measurements. The loop transfer L is cut at the commands. It contains the plant
+followed by the controllers, for negative feedback: S = (I + L)⁻¹.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ the reason, the correction decreases instead, because repeating it would keep th
 causes an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is
 shorter than after saturation, because one late sample is a small disturbance. When the reference differs from the
 reference of the previous period, the correction is phased out. While an axis approaches the path of its scan, its
-reference also differs from the reference in the file of a correction. The correction is then phased out too, but it
-stays stored until the axis reaches the path, or until another reference repeats.
+reference also differs from the reference in the file of a correction. In this case the correction is phased out too,
+but it stays stored until the axis reaches the path, or until another reference repeats.
 
 References
 ----------
@@ -184,7 +184,7 @@ def shortest_period(path: np.ndarray) -> int:
 
 #: First key of the file of a learned correction.
 KIND = "learned_correction"
-#: Maximum number of values in such a file, not counting the two arrays.
+#: Maximum number of values in the file of a learned correction, without its two arrays.
 HEAD = 20
 
 
@@ -595,7 +595,7 @@ class Learning(Block):
             No correction is configured, or no whole period has passed.
         """
         self._require_use()
-        # one copy of the whole state, because the loop keeps writing samples
+        # one copy of the whole state, because the loop continues to write samples
         x = self.x.copy()
         reference = self._last_period(x, 2)
         if not np.all(np.isfinite(reference)):

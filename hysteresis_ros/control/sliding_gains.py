@@ -12,10 +12,10 @@
 Two numbers determine the speed of such a loop: the pole that sets the bandwidth of the response to the reference, and
 the bandwidth of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search
 varies both numbers on grids that become finer around the best point. Among the points that meet the requirements, the
-best one has the largest product of bandwidth and rejection. A bandwidth above the bandwidth of the feedback is not
-considered better, because tracking then depends on the accuracy of the model. If no point meets the requirements, the
-point that comes closest to them is returned; its margins show which requirements it does not meet. The equations of
-hyperplane and feedback gain are in :mod:`.state_feedback`; the equations of the laws are in ``laws/``.
+best one has the largest product of bandwidth and rejection. A bandwidth above that of the feedback does not count as
+better, because tracking above the bandwidth of the feedback depends on the accuracy of the model. If no point meets the
+requirements, the point that comes closest to them is returned; its margins show which requirements it does not meet.
+The equations of hyperplane and feedback gain are in :mod:`.state_feedback`; the equations of the laws are in ``laws/``.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
 
 
 def _equilibrated(matrix):
-    """Scale rows, then columns, to length 1, so that the numerical rank does not depend on units."""
+    """Scale first the rows and then the columns to length 1, so that the numerical rank does not depend on units."""
     for axis in (1, 0):
         length = np.linalg.norm(matrix, axis=axis, keepdims=True)
         matrix = matrix / np.where(length > 0.0, length, 1.0)

@@ -41,7 +41,7 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product, rounded, solve
 
-#: Largest relative deviation of gain, slope or times; it is below 1, so that no sign changes.
+#: Largest relative deviation of gain, slope or times that is allowed; it is below 1, so that no sign changes.
 LARGEST = 0.5
 #: Number of corners: plants in which gain and slope, times, and delay are each at an end of their range.
 CORNERS = 8
@@ -278,7 +278,7 @@ POINTS, DECADES, AROUND = 500, 5.0, 41
 GAINS = 9
 #: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
-#: Tolerance for a limit of the crossover, because it is stored with few digits and compared on a grid of frequencies.
+#: Tolerance factor on the highest crossover, which is stored with few digits and compared on a grid of frequencies.
 ROUNDED = 1.02
 
 
@@ -316,8 +316,9 @@ class ResponseUncertainty:
     known_to : float
         Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
     crossover : float
-        Highest crossover [Hz] that a loop may have. It is finite if the recording shows a (ringing) movement that the
-        model lacks and l does not bound. 0: no crossover is known to be safe; infinite: only l limits the loop.
+        Highest crossover [Hz] that a loop may have. It is finite if the recording shows a movement (ringing) that the
+        model does not describe and that l does not bound. 0: no crossover is known to be safe; infinite: only l limits
+        the loop.
     gain : float
         Largest factor on the gain of the plant that the recording does not rule out, for hysteresis loops of a tenth of
         the range; at least 1.

@@ -32,7 +32,7 @@ and the implicit law [2]_ [3]_ is
 
 The explicit law is the sampled continuous law: σ oscillates around zero, and sign σ makes the command chatter by about
 k2 T. The implicit law evaluates the square root part at the end of the sample (backward Euler) and the set-valued sign
-by projection: while |σ| ≤ k2 T, the sign is replaced by σ/(k2 T). Under a constant disturbance σ then stays at zero
+by projection: while |σ| ≤ k2 T, the sign is replaced by σ/(k2 T). So under a constant disturbance σ stays at zero
 without chattering, and w is the negative disturbance.
 
 In continuous time, σ̇ = v + a with |ȧ| ≤ L_a reaches zero in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. In

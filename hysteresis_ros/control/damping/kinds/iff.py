@@ -13,7 +13,7 @@ u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
 The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), for any mass. Between zeros and poles the
 integral of the force is in phase with the velocity, so it damps the poles. With a pure integrator the damping ratio is
-at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force k_f y, and thus the displacement, to
+at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force k_f y, and with it the displacement, to
 zero. Therefore the integrator has a leak at ω_c = α β, which is equivalent to a feedthrough β from the command into the
 force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the axis, and
 in steady state the command is equal to the law's output, so γ = 1. Without the high-pass (ω_h = 0) the static force
