@@ -240,7 +240,7 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Number of factors on the times for which plants with aliased modes are computed; it is large, because their
+#: Number of factors on the times for which plants with aliased modes are computed; there are many, because the
 #: resonances are narrow.
 ALIASED = 11
 
@@ -268,7 +268,7 @@ UNKNOWN = 1.0 / (2.0 * DAMPING)
 #: If a resonance carries the whole displacement and its frequency is below this multiple of the known range, it changes
 #: the known response by more than half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
-#: Smallest (f/f')² − 1 of a resonance at f that the end f' of the known range is assumed to show.
+#: Lower bound of (f/f')² − 1 for a resonance at f just above the end f' of the known range.
 NEAREST = 0.12
 #: Required distance of the loop transfer function from −1, for every plant within the uncertainty.
 KEPT = 0.2
