@@ -162,7 +162,7 @@ class HandoverParameters(Parameters):
 
 
 class Handover(Block):
-    """Add a bias to the input, which decays after :func:`arm`.
+    """Add a bias to the input; after :func:`arm` the bias decays.
 
     Parameters
     ----------
@@ -185,11 +185,11 @@ class Handover(Block):
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal to its last output, and let the difference from the input decay.
 
-    Call it after a change of controller type or gains, after a stale measurement, and at a start after a stop. ``last``
-    is the value to continue from if another (safe) output was sent after the block's last output. ``lasting`` is the
-    mean recent difference between the output and the new input. Only ``lasting`` decays with the time constant. The
-    rest of the present difference is mostly noise. It is halved in each sample, because a slowly decaying bias from
-    noise would disturb the feedback.
+    Call this function after a change of controller type or gains, after a stale measurement, and at a start after a
+    stop. ``last`` is the value to continue from if another (safe) output was sent after the block's last output.
+    ``lasting`` is the mean recent difference between the output and the new input. Only ``lasting`` decays with the
+    time constant. The rest of the present difference is mostly noise. It is halved in each sample, because a slowly
+    decaying bias from noise would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -250,7 +250,7 @@ class ControllerParameters(Parameters):
         return self.__dict__["_without_preload"]
 
     def before_damping(self, sample_time: float):
-        """Return the parameters for the law: their model is the damped plant.
+        """Return the parameters of the law, with the damped plant as model.
 
         Raises
         ------
@@ -269,7 +269,7 @@ class ControllerParameters(Parameters):
     def check(self):
         """Yield a Problem for each reason why the chosen controller cannot be computed."""
         yield from super().check()
-        rate = getattr(self, "sample_rate", None)  # only the parameters of the node contain a sample rate
+        rate = getattr(self, "sample_rate", None)  # only the parameters of a node contain a sample rate
         sample_time = 1.0 / rate if rate else None
         known = sample_time or self.model.dynamics.sample_time
         if rate and self.learning.in_use and not self.learning.problems():

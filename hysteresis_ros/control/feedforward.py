@@ -9,13 +9,13 @@
 
 """Feedforward: the command with which the model follows the reference, by stable inversion of its dynamics.
 
-**Zeros near the unit circle.** If two modes, or a mode above half the sample rate, are sampled, a pair of zeros may be
-half a per cent outside the unit circle, at frequencies far above those of the reference. The exact inverse of these
-zeros needs a command that oscillates at their frequency and starts to grow long before the reference changes. A small
-model error turns this command into a motion. Zeros just inside the circle, and the zeros near -1 that the zero-order
-hold causes, need a command that alternates long after each corner: the displacement is correct at the samples, but
-oscillates between them. The inverse leaves out all these zeros, without phase error. Let g(z⁻¹) be their polynomial
-with g(1) = 1. The reference passes through
+**Zeros near the unit circle.** A sampled model of two modes, or of a mode above half the sample rate, may have a pair
+of zeros half a per cent outside the unit circle, at frequencies far above those of the reference. The exact inverse of
+these zeros needs a command that oscillates at their frequency and starts to grow long before the reference changes. A
+small model error turns this command into a motion. Zeros just inside the circle, and the zeros near -1 that the
+zero-order hold causes, need a command that alternates long after each corner: the displacement is correct at the
+samples, but oscillates between them. The inverse leaves out all these zeros, without phase error. Let g(z⁻¹) be their
+polynomial with g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
@@ -187,7 +187,7 @@ DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
 DECADES = 18.0
 #: ... or for this number of samples: a zero that needs more samples is too near to the circle for any preview.
 LONGEST = 200_000
-#: J, the number of correction terms in the inverse of a delay of a fraction of a sample.
+#: J, the number of correction terms in the inverse of a fractional delay.
 TERMS = 3
 #: Maximum number of Newton steps for the matrix sign function, and change below which it has converged.
 SIGN_STEPS = 60
@@ -392,7 +392,7 @@ def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
     length = min(int(DECADES / math.log10(parts.slowest)) + 2, LONGEST)
-    # rows out N, out N², …: each pass multiplies the present rows by a power of N, which doubles their number
+    # rows γ Λ⁻¹, γ Λ⁻² …: each pass multiplies the present rows by a power of Λ⁻¹, which doubles their number
     rows, further = product(out, backwards)[np.newaxis], backwards
     while len(rows) < length:
         rows, further = np.concatenate([rows, product(rows, further)]), product(further, further)
@@ -400,7 +400,7 @@ def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
 
 
 def _advance(part: float) -> np.ndarray:
-    """Return the weights of r(k-J) … r(k+J+1) that invert a delay of a fraction of a sample; 1 without such a delay."""
+    """Return the weights of r(k-J) … r(k+J+1) that invert a fractional delay; 1 without a fraction."""
     if not part:
         return np.ones(1)
     lost = part * (1.0 - part) * np.array([-1.0, 2.0, -1.0])  # 1 - c c*
@@ -492,7 +492,7 @@ def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -
 def designed_preview(dynamics: LinearParameters) -> int:
     """Return the preview [samples] that a design chooses for the inverse of the dynamics.
 
-    ParameterError: the dynamics have no stable inverse, or the inverse needs too long a preview.
+    ParameterError: the dynamics have no stable inverse, or the inverse needs more preview than :data:`LONGEST_PREVIEW`.
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:
@@ -541,7 +541,7 @@ STARTED = 1  # 0.0: the next call assumes that the reference has been constant s
 NEXT = 2  # index in the ring at which the next reference is stored
 GIVEN = 3  # part of the command that the feedforward of a stage adds [m]; 0 for a single axis
 NEWEST = 4  # reference of the last call [m]
-CALLS = 5  # number of calls since the feedforward of a stage has last read the reference
+CALLS = 5  # number of calls since the feedforward of a stage last read the reference
 RING = 6
 
 

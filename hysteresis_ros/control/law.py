@@ -186,7 +186,7 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model, and the worst other figures up to the first plant that fails."""
+        """Return the bandwidth on the model and the worst other figures; it stops at the first plant that fails."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 

@@ -18,10 +18,10 @@ A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs). The loop 
 through −1.
 
 Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
-one sample in addition to the delay of the model. This additional sample is about the delay of converters, data
-transport and a loaded computer. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2
-asin(1/4) = 29 degrees [1]_. It does not imply a delay margin, because one sample of delay is 180 degrees of phase at
-half the sample rate.
+one sample in addition to the delay of the model. This additional sample covers the delays of converters, data transport
+and a loaded computer, together about one sample. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a
+phase margin of 2 asin(1/4) = 29 degrees [1]_. It does not imply a delay margin, because one sample of delay is 180
+degrees of phase at half the sample rate.
 
 A measured loop is also cut at the command. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
 range of a margin follows from the circles of uncertainty around L at the measured frequencies. The points of the

@@ -146,7 +146,7 @@ def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) ->
     """
     whole = model
     if parameters.tracking == "integral":
-        state_feedback.steady_state(model)  # raises ParameterError without DC gain: the integral would never settle
+        state_feedback.steady_state(model)  # raises ParameterError if the DC gain is 0: the integral would never settle
         whole = state_feedback.integral_system(model)
     n, order, A, B = model.order, whole.order, whole.A, whole.B
     if parameters.hyperplane == "given":

@@ -43,7 +43,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
     Raises
     ------
     ParameterError
-        Always; it contains the name of the parameter, its value and what is allowed.
+        Always; the message contains the name of the parameter, its value and what is allowed.
     """
     raise ParameterError([Problem(name, value, remedy)])
 

@@ -59,7 +59,7 @@ class Uncertainty:
     gain : float
         Largest relative deviation of the gain.
     hysteresis : float
-        Largest relative deviation of the slope by residual hysteresis.
+        Largest relative deviation of the slope of residual hysteresis.
     resonance : float
         Largest relative deviation of all times: periods of resonances, time constants, and the delay of the model.
     delay : float
@@ -248,10 +248,11 @@ ALIASED = 11
 def aliased_plants(
     dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty
 ) -> tuple[PossiblePlant, ...]:
-    """Return plants within the range of times, in which modes above a quarter of the sample rate are aliases.
+    """Return plants within the range of times; their modes above a quarter of the sample rate are aliases.
 
     The result is empty if there are no such modes. A sampled response does not show whether a mode is at f or at f_s -
-    f, and a small relative deviation of f_s - f is a larger relative deviation of f. Units: ``sample_time`` [s].
+    f, and a small relative deviation of f_s - f corresponds to a larger relative deviation of f. Units: ``sample_time``
+    [s].
     """
     model = dynamics.matrices
     poles = np.linalg.eigvals(model.A) if model.order else np.zeros(0)
@@ -343,7 +344,7 @@ class ResponseUncertainty:
         return np.where(f > self.known_to, np.maximum(known, self.height(f)), known)
 
     def share(self, frequencies) -> np.ndarray:
-        """Return the fraction of the displacement that may pass through an unknown resonance, shape (n,); 0 if known.
+        """Return the fraction of displacement that may pass through an unknown resonance, shape (n,); 0 where known.
 
         Parameters
         ----------

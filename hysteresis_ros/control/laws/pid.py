@@ -619,7 +619,7 @@ def doubts(parameters, sample_time: float, tuned: bool):
 
 
 def started(parameters, sample_time: float):
-    """Return the parameters with which a tuning starts, by lambda tuning."""
+    """Return the parameters with which a tuning starts: the gains of a design by lambda tuning."""
     return replace(parameters, pid=design_pid(parameters.pid, parameters.model.dynamics, sample_time))
 
 
