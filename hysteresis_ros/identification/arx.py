@@ -9,9 +9,10 @@
 
 """ARX models by linear least squares (W1), with zeros kept inside the unit circle on request (W6).
 
-``A(z) y = B(z) u + e`` with ``A = 1 + a_1 z⁻¹ + …`` and ``B = b_0 z⁻ᵈ + b_1 z⁻ᵈ⁻¹ + …``, d ≥ 1: the regression of y(t)
-on y(t-1) …, u(t-d) …. If the output is noisy, the estimate is biased (noise in the regressors pulls poles towards
-zero); therefore compare the simulation of the model with other data, not its one-step prediction.
+``A(z) y = B(z) u + e`` with ``A = 1 + a_1 z⁻¹ + …`` and ``B = b_0 z⁻ᵈ + b_1 z⁻ᵈ⁻¹ + …``, d ≥ 1, is fitted by the
+regression of y(t) on y(t-1) …, u(t-d) …. If the output is noisy, the estimate is biased, because noise in the
+regressors pulls poles towards zero. Therefore compare the simulated output, not the one-step prediction, with other
+data.
 
 References
 ----------
@@ -31,7 +32,7 @@ from hysteresis_ros.identification.data import checked_signals, refuse_short
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
 from hysteresis_ros.identification.validation import parameter_covariance
 
-#: Condition number of the regressors up to which the parameters count as determined.
+#: Largest condition number of the regressors with which the parameters count as determined.
 RANK = 1e10
 
 
@@ -200,7 +201,7 @@ def _records(u, y):
 
 
 def _regression(u, y, orders: ArxOrders, offset: bool):
-    """Return the table with the columns -y(t-1) …, u(t-d) …, 1 and the right-hand side y(t)."""
+    """Return the table with the columns -y(t-1) …, u(t-d) … and 1, and the right-hand side y(t)."""
     na, nb, delay = orders
     first = max(na, nb + delay - 1)
     refuse_short(len(y), first + 1, "an ARX model")
@@ -212,12 +213,11 @@ def _regression(u, y, orders: ArxOrders, offset: bool):
 
 
 def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
-    """Solve the regression with all zeros of B within ``radius``.
+    """Solve the regression with the constraint that all zeros of B lie within ``radius``.
 
     With up to two zeros, the polynomials with a positive first coefficient and all zeros within the radius form a
-    convex cone (with two zeros, the stability triangle), which is spanned by the polynomials at the corners of this
-    region. The problem is therefore linear least squares with weights ≥ 0, which is solved exactly for each sign of the
-    gain.
+    convex cone (with two zeros, over the stability triangle). Polynomials at the corners span this cone, so the problem
+    is linear least squares with weights ≥ 0, which is solved exactly for each sign of the gain.
     """
     na, nb, _ = orders
     spanned = {

@@ -12,10 +12,10 @@
 The static element follows paper B, section 3.2 (B3).
 
 The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the nodes,
-on a grid finer than the samples. Levenberg-Marquardt steps, with sensitivities by finite differences, lower the output
-error. The equations contain β, γ and δ only as the products βγ and βδ, so β keeps its initial value. The output error
-has local minima if the initial resonance is far from the true one. Trial points around the initial values are therefore
-first evaluated on a short part of the data, and only the best few are refined.
+on a grid finer than the samples. Trust-region steps, with sensitivities by finite differences, reduce the output error.
+The equations contain β, γ and δ only as the products βγ and βδ, so β keeps its initial value. The output error has
+local minima if the initial resonance is far from the true one. Trial points around the initial values are therefore
+evaluated on a short part of the data first, and only the best of them are refined.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ DIFFERENCE = 1e-5
 class BoucWenIdentification:
     """Result of :func:`identify_bouc_wen_static`."""
 
-    parameters: BoucWenParameters  #: The model: the best point found, converged or not.
+    parameters: BoucWenParameters  #: Best point found, even if the search did not converge.
     offset: float  #: Constant part of the displacement [m]; 0 unless it was fitted.
     covariance: np.ndarray  #: shape (4, 4); Covariance of d_e, α, β and γ, for white residuals.
     rms: float  #: rms, maximum: Residual [m].
@@ -78,7 +78,7 @@ class BoucWenIdentification:
 
 
 def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
-    """Return an initial guess from the ranges: α ≈ d_e/4, and a memory that decays over half the voltage range."""
+    """Return a guess from the signal ranges: α ≈ d_e/4, and a memory that decays over half the voltage range."""
     slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
     d_e, alpha = 1.25 * slope, 0.3 * slope
     rate = 2.0 / float(np.ptp(voltage))
@@ -134,7 +134,7 @@ def identify_bouc_wen_static(
 
 
 class _Normalised:
-    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element on it."""
+    """A recording scaled by the ranges of its signals (h like the displacement), and the error of the model."""
 
     def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
         n, self.free_offset, self.first = exponent, free_offset, len(history)
@@ -156,7 +156,7 @@ class _Normalised:
 
     @property
     def offset(self) -> float:
-        """The constant offset in the last residual; 0 if it is not free."""
+        """Constant that was removed from the last residual; 0 if the offset is not free."""
         return -(float(np.mean(self.y[self.first :] - self.x)) if self.free_offset else 0.0)
 
     def cost(self, theta) -> float:
@@ -195,14 +195,14 @@ def _covariance(residual, theta, error, free_offset) -> np.ndarray:
 
 
 def _in_units(search: SimplexSearch, units) -> SimplexSearch:
-    """Return the search with trajectories in SI units; the costs remain relative to the displacement's range."""
+    """Return the search with trajectories in SI units; the costs remain relative to the stroke."""
     runs = tuple(replace(run, trajectory=run.trajectory * units) for run in search.runs)
     return replace(search, x=search.x * units, runs=runs)
 
 
 #: Names of the fitted parameters, in the order of the vectors.
 OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
-KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # positions in the kernel, without the mass
+KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # parameters in the kernel, except the mass
 #: Number of grid points per sample, during the search and for the result. Between the samples the input is linear, and
 #: the kernel takes one Runge-Kutta step per grid point.
 SEARCH_GRID = 4
@@ -214,16 +214,14 @@ SPREAD = 1.0
 FOLLOWED = 12
 #: Number of samples on which trial points are evaluated and refined; the best point is then refined on all samples.
 SHORT_PART = 6000
-#: Output errors are limited to this multiple of the stroke, because the error of a diverging oscillation has no
-#: gradient.
+#: Output errors are limited to this multiple of the stroke, because a diverging oscillation has no useful gradient.
 LARGEST_ERROR = 10.0
 #: Number of periods after which a simulation with periodic input counts as settled.
 SETTLING = 1
-#: Starts agree if their residuals are at most this factor times the smallest residual; if two starts agree, the search
-#: ends.
+#: Two starts agree if both residuals are at most this factor times the smallest residual. The search ends if two starts
+#: agree and the smallest residual is below the fraction WELL_DONE of the stroke.
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
-#: The search ends only if the residual is also below this fraction of the stroke.
 WELL_DONE = 0.05
 
 
@@ -231,12 +229,12 @@ WELL_DONE = 0.05
 class BoucWenMechanicalFit:
     """Result of :func:`fit_bouc_wen_mechanical`."""
 
-    parameters: BoucWenMechanicalParameters  #: β as given; γ and δ calculated from the products.
+    parameters: BoucWenMechanicalParameters  #: β is the initial value; γ and δ are calculated from the products.
     rmse: float  #: RMS output error [m].
-    #: Standard deviations from the Jacobian and the residual, by the names of :data:`OSCILLATOR_FREE`.
+    #: Standard deviations from the Jacobian and the residual, by the names in :data:`OSCILLATOR_FREE`.
     deviations: dict[str, float]
-    covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`OSCILLATOR_FREE`, in their units.
-    agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all refined starts.
+    covariance: np.ndarray  #: shape (6, 6); Covariance of the parameters :data:`OSCILLATOR_FREE`, in SI units.
+    agreeing: int  #: agreeing, starts: Number of refined starts that agree, and of all refined starts.
     starts: int
     intersample: str  #: intersample, initial: Assumed input between samples, and assumed initial state.
     initial: str
@@ -337,7 +335,7 @@ def _check_oscillator(start, intersample, initial):
 
 
 class _OscillatorProblem:
-    """Output error as a function of the parameters in units of their initial values."""
+    """Output error as a function of the parameters, which are scaled by their initial values."""
 
     def __init__(self, u, y, sample_time, start, *, intersample, initial, skip):
         self.skip = skip
@@ -352,7 +350,7 @@ class _OscillatorProblem:
         self.finer = {grid: _finer(u, grid, intersample, initial == "periodic") for grid in (SEARCH_GRID, FINE_GRID)}
 
     def residual(self, z, grid, samples=None):
-        """Return the output error divided by the stroke, without its mean."""
+        """Return the output error minus its mean, divided by the stroke."""
         n = len(self.y) if samples is None else min(samples + self.skip, len(self.y))
         parameters = z * self.scale
         bad = np.full(n - self.skip, LARGEST_ERROR)

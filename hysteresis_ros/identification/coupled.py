@@ -10,18 +10,18 @@
 
 """Identification of coupled axes: several inputs and outputs, one model for all levels of the excitation.
 
-The identification has three steps, each based on the result of the previous one:
+The identification has three steps; each uses the result of the previous one:
 
 1. the frequency response matrix of each level, with separate estimates of noise and nonlinear distortion
    (``frequency_response``);
-2. the linear dynamics at the middle level: a subspace method, then refinement of the modes by a fit to the response
-   (``subspace``); the order is chosen by the error of the simulation on held-out realisations;
+2. the linear dynamics at the middle level, by a subspace method and a refinement on the response (``subspace``); the
+   order is chosen by the error of the simulation on held-out realisations;
 3. the hysteresis inside the structure (``structure_fit``), by Gauss-Newton on the error of the simulation. The search
    begins with gains and plays, then adds the linear part, then C_z, then B_w and the radii. It ends when the error on
-   the held-out realisations rises.
+   the held-out realisations no longer decreases.
 
-The initial value of C_z is Γ C Λ^τ, where Γ is the inverse of the static gain; the input of the plays is then the
-motion of the actuators τ samples ahead. Without this advance, the search ends far from the true plant.
+The initial value of C_z is Γ C Λ^τ, where Γ is the inverse of the static gain. With this value the input of the plays
+is the motion of the actuators, advanced by τ samples. Without the advance, the search ends far from the true plant.
 """
 
 from __future__ import annotations
@@ -47,12 +47,11 @@ from hysteresis_ros.models.structure import Structure, StructureParameters
 SAME_LEVEL = 1.2
 #: Default orders; all of them are tried.
 ORDERS = (4, 8, 12, 20, 28, 36, 44)
-#: An order suffices if its error on the held-out realisations is at most this factor times the smallest error.
+#: The lowest order is chosen whose error on the held-out realisations is at most this factor times the smallest error.
 ENOUGH = 1.02
-#: Factor by which every mode must decay during the run-in; this is the remaining error of a simulation that starts from
-#: rest.
+#: Every mode must decay to this fraction during the run-in; this is the remaining error of a simulation from rest.
 REMAINDER = np.exp(-5.0)
-#: Initial value of the advance τ of the motion that acts on the plays [samples].
+#: Initial value of the advance τ of the input of the plays [samples].
 ADVANCE = 1.1
 #: Smallest and largest initial radius of the plays, as fractions of the RMS motion at the highest level.
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
@@ -62,7 +61,7 @@ FIRST_WEIGHT = 1e-3
 #: number of realisations of each level that such a stage uses (with half a period each).
 RESPONSE_STEPS = 30
 EARLY_STEPS, EARLY_REALISATIONS = 6, 2
-#: Number of consecutive steps without a smaller error on the held-out realisations, after which the search ends.
+#: The search ends after this number of consecutive steps without a smaller error on the held-out realisations.
 PATIENCE = 3
 #: Allowed weightings of the errors.
 WEIGHTINGS = ("distortion", "absolute")
@@ -386,7 +385,7 @@ class StructureEstimator:
         """Return the linear dynamics of a level, in modal form."""
         response = found.response if self.band is None else found.response.band(*self.band)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
-        # a compromise between absolute and relative errors, so that resonances do not dominate the fit
+        # between absolute and relative errors, so that resonances do not dominate the fit
         weights = np.sqrt(size.mean() / size)
         models, errors = [], []
         for order in orders:

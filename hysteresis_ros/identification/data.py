@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data of an identification: time, one input and one output in SI units, and the checks made before any fit.
+"""Data for an identification (time, one input and one output in SI units), and its checks before any fit.
 
-The checks report what makes data unusable (missing samples, non-uniform time, constants), what makes the result worse
-(clipping, delay, drift), and numbers that suggest a wrong unit.
+The checks report what makes data unusable (missing samples, non-uniform time, constant signals), what makes the result
+less accurate (clipping, delay, drift), and numbers that suggest a wrong unit.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ GAINS = (1e-9, 2e-4)
 LONGEST_SAMPLE_TIME = 0.5
 SHORTEST_DURATION = 0.1
 LONGEST_CYCLE = 500.0
-#: Smallest number of samples per cycle with which the turning points of the loops are visible.
+#: Smallest number of samples per cycle that shows the turning points of the loops.
 FEWEST_A_CYCLE = 20.0
 
 
@@ -120,14 +120,15 @@ GRID_TOLERANCE = 0.1
 CONSTANT = 1e-12
 #: Smallest number of consecutive equal samples at an extreme that can count as clipping.
 CLIPPED_RUN = 3
-#: Smallest ratio of the length of a clipped run of equal samples to the mean length of the neighbouring runs; the top
-#: of a coarsely quantised sine has a ratio of 5.5.
+#: A run of equal samples counts as clipped only if it is at least this many times longer than the mean of the
+#: neighbouring runs; at the top of a coarsely quantised sine the ratio is 5.5.
 CLIPPED_POPULATION = 8.0
-#: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
+#: A drift above this fraction of the stroke, over the whole data, causes a warning.
 DRIFT_SHARE = 0.01
-#: Number of plays and largest number of samples of the fit that tells a drift from hysteresis.
+#: Number of plays and largest number of samples in the fit that distinguishes drift from hysteresis.
 TRIED_PLAYS, TRIED_SAMPLES = 10, 4000
-#: Least part of time that input, plays and size of the loops leave unexplained; below it the drift is not known.
+#: The drift is known only if input, plays and size of the loops leave at least this fraction of a straight line in time
+#: unexplained.
 LEAST_LEFT = 0.3
 
 
@@ -146,7 +147,7 @@ class Finding:
     #: ``short``, ``constant``, ``nan``, ``uniform``, ``swapped``, ``clipping``, ``unit``, ``coarse``, ``delay``,
     #: ``drift``, ``jitter``, ``reading`` …
     check: str
-    severity: str  #: ``error`` (cannot be used), ``warning`` (results become worse) or ``note``.
+    severity: str  #: ``error`` (data unusable), ``warning`` (result less accurate) or ``note``.
     message: str  #: Sentence with numbers and units.
 
 
@@ -165,7 +166,7 @@ class DataReport:
     clipped_output: float
     #: Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
     delay: float
-    drift: float  #: Change of the output over the whole data that the input does not explain, in its SI unit.
+    drift: float  #: Change of the output over the data that the input does not explain, in its SI unit.
     reversals: int  #: Number of reversals of the input.
     findings: tuple[Finding, ...]  #: Findings in the order of the checks.
 
@@ -176,7 +177,7 @@ class DataReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Messages of the warnings, for the result of a fit."""
+        """Messages of the warnings."""
         return tuple(item.message for item in self.findings if item.severity == "warning")
 
     @property
@@ -290,7 +291,7 @@ def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -
 def check_uniform(time) -> tuple[float, float, list[Finding]]:
     """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
 
-    Rounded times count as uniform if all of them agree with a uniform grid within the rounding error.
+    Rounded times count as uniform if each of them differs from a uniform grid by at most the rounding error.
     """
     if len(time) < 2:
         return float("nan"), 0.0, []
@@ -329,7 +330,7 @@ def _rounding(time):
     for digits in range(1, 7):
         scaled = time * 10.0**digits
         if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
-            # the rounding unit must be below the sample time, otherwise the times carry no information
+            # times rounded to a unit of one sample time or more carry no information
             return 10.0**-digits if 10.0**-digits < np.median(np.diff(time)) else 0.0
     return 0.0
 
@@ -344,8 +345,8 @@ def clipped_samples(values, driver=None) -> np.ndarray:
 
     A run of at least three equal samples at the extreme counts as clipped if it is many times longer than the runs just
     before and after it. With a ``driver`` (the input that causes this output), only runs during which the driver moves
-    count, because an output may be constant while its input is constant. Without a driver, rest at the beginning or the
-    end, and a signal that rests at many levels (steps), do not count as clipped.
+    count, because an output may be constant while its input is constant. Without a driver, rest at the beginning or end
+    of the data does not count as clipping, nor does a signal that rests at many levels (steps).
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -384,7 +385,7 @@ def count_reversals(values) -> int:
 def estimate_delay(u, y, sample_time: float) -> float:
     """Return the lag [s] of y behind u at which their correlation is highest, interpolated by a parabola.
 
-    The search covers half of the input's period, so that the result cannot be wrong by a whole period.
+    The search is limited to half of the input's period, so that the result cannot be wrong by a whole period.
     """
     u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
     n = u.size
@@ -393,7 +394,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
     reach = max(2, min(n // 4, int(0.5 * n / main)))
     products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
     lags = np.arange(-reach, reach + 1)
-    # correlation coefficient of the overlapping parts, because plain products are biased towards zero lag
+    # the correlation coefficient of the overlapping parts, because sums of products are biased towards zero lag
     first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
     overlap = n - np.abs(lags)
     sums = []
@@ -402,7 +403,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
         sums.append(total[first + overlap] - total[first])
     spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
     window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
-    # an inverted sine fits equally well half a period away, so an inverted output is accepted only if it fits clearly
+    # an inverted sine fits equally well half a period later, so an inverted output is accepted only if it fits clearly
     # better
     sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
     best = int(np.argmax(sign * window))
@@ -428,9 +429,9 @@ def _check_delay(u, y, sample_time):
 def _drift_beside_loops(time, u, y) -> float:
     """Return the drift of an output over a recording without a model; 0 if insignificant, NaN if it is not known.
 
-    Loops that grow or shrink all the time move the mean output as a drift does, so with them it is not known. The
-    output is fitted by a cubic of the input, plays, the speed of the input, the size of the present loop and time.
-    Units: ``time`` [s]; the result has the unit of ``y``.
+    The output is fitted by a cubic of the input, plays, the speed of the input, the size of the present loop, and time.
+    If the loops grow or shrink all the time, the drift is not known, because such loops move the mean output like a
+    drift. Units: ``time`` [s]; the result has the unit of ``y``.
     """
     span = np.ptp(u)
     scaled, turns = (u - u.mean()) / span, turning_points(u)

@@ -9,11 +9,11 @@
 
 """Drift and creep: a straight line in time, and how much of this line could be creep.
 
-A drift is independent of the voltage. Creep with time constants longer than the recording looks almost like a straight
-line, because the mean voltage of a recording differs from its first voltage. The line in the residual is therefore
+A drift is independent of the voltage. Creep with time constants longer than the recording is almost a straight line
+too, because the mean voltage of a recording differs from its first voltage. The line in the residual is therefore
 fitted together with slow relaxations of the modelled displacement. Each relaxation may be as large as in known
-materials (:data:`CREEP`), so creep that the recording cannot distinguish from a drift adds to the standard deviation of
-the drift.
+materials (:data:`CREEP`). Creep that the recording cannot distinguish from a drift thus increases the standard
+deviation of the drift.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from hysteresis_ros.identification.validation import inflation
 
 #: Time constants of the relaxations, as fractions of the duration of the recording.
 SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
-#: Assumed standard deviation of the relaxation with each of these time constants, in addition to the fitted creep, as a
-#: fraction of a step. Creep of 2 % per decade corresponds to relaxations of 0.01 at this spacing of the time constants.
+#: Assumed standard deviation of each relaxation, in addition to the fitted creep, as a fraction of a step. With this
+#: spacing of the time constants, relaxations of 0.01 correspond to creep of 2 % per decade.
 CREEP = 0.01
-#: A drift is significant if it exceeds this number of its standard deviations.
+#: A drift is significant if it exceeds this multiple of its standard deviation.
 CERTAIN = 2.0
 
 
@@ -47,10 +47,10 @@ class Drift(NamedTuple):
 
 
 def drift_beside_creep(data, moved, residual, settled: bool) -> Drift:
-    """Return the straight line in a residual, shape (n,), fitted together with slow relaxations of a displacement.
+    """Return the straight line in a residual, shape (n,), from a fit that includes slow relaxations.
 
-    ``data`` is condensed; ``moved`` is the modelled displacement without constants, shape (N,). Units: ``moved`` [m],
-    ``residual`` [m].
+    ``data`` is condensed; ``moved`` is the modelled displacement without constants, shape (N,), which relaxes. Units:
+    ``moved`` [m], ``residual`` [m].
     """
     duration = len(moved) * data.sample_time
     relaxed = [LinearPart(lag=part * duration, settled=settled).apply(moved, data.sample_time) for part in SLOW]

@@ -7,22 +7,22 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Duhem models from data: model, inverse, and model with linear dynamics after it (Wang, Alici & Tan 2014; W1-W5).
+"""Duhem models from data: model, inverse, and model followed by linear dynamics (Wang, Alici & Tan 2014; W1-W5).
 
-The loops are prepared (W2): the lag is removed, loops of different frequencies are made comparable, and the branches of
-the major loop are extracted. For a given α these branches determine f and g. W3 computes f and g from the branches *and
-their slopes*, but the slopes of measured branches are mostly noise. The output of the Duhem equation is linear in f and
-g along a known path of the input, so the equation is used in its integrated form instead: the fit finds those f and g,
-as networks or splines, for which the integrated equation follows the measured branches. For exact branches both methods
-are equivalent, but the integral does not differentiate noise. Input and output of the major loop are normalised to -1 …
-+1.
+The loops are prepared first (W2): the lag is removed, loops of different frequencies are scaled to one amplitude, and
+the branches of the major loop are extracted. For a given α these branches determine f and g. W3 computes f and g from
+the branches *and their slopes*, but the slopes of measured branches are mostly noise. The fit here therefore uses the
+integrated equation, whose output is linear in f and g along a known path of the input: f and g, as networks or splines,
+are chosen so that the integrated equation follows the measured branches. For exact branches both methods are
+equivalent, but the integrated form does not differentiate noise. Input and output of the major loop are normalised to
+-1 … +1.
 
 The paper fixes α = 80 (for an input of -1 … 1). With this value the model reproduces only the major loop: after a
-reversal inside the loop, the output first moves in the wrong direction. α determines the minor loops; if the recordings
-contain minor loops, α is identified from them (W7). The inverse (W4) is identified in the same way, with input and
-output exchanged.
+reversal inside the loop, the output first moves in the wrong direction. α determines the minor loops, so it is
+identified from them if the recordings contain minor loops (W7). The inverse (W4) is identified in the same way, with
+input and output exchanged.
 
-A linear part of second order after the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
+A linear part of second order after the hysteresis is fitted by least squares to ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
 w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or the output of the identified hysteresis (G2, W5).
 """
 
@@ -48,7 +48,7 @@ from hysteresis_ros.models.linear import LinearParameters
 #: Fraction of a branch, on both sides of a reversal, from which the lag is determined.
 WINDOW = 0.25
 LAG_CANDIDATES = 41
-#: A branch belongs to the major loop when it comes this close to both ends, as a fraction of the range.
+#: A branch belongs to the major loop if its distance from both ends of the range is at most this fraction of the range.
 NEAR_END = 0.02
 #: Largest gap between the branches at an end of a steady loop, as a fraction of the range.
 OPEN_END = 0.02
@@ -64,16 +64,16 @@ class PreparedLoops:
     voltage: tuple[np.ndarray, ...]  #: Input of each recording, delayed by its lag [V].
     displacement: tuple[np.ndarray, ...]  #: Output [m], scaled to the amplitude of the first recording.
     delays: tuple[float, ...]  #: Lag of each recording [s].
-    gains: tuple[float, ...]  #: max |y| of each recording [m]: shows the effect of the linear part on the amplitude.
+    gains: tuple[float, ...]  #: max |y| of each recording [m]; shows how the linear part changes it.
 
 
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
     """Return the lag [s] of the displacement's reversals behind the voltage's reversals (Δt of W2).
 
-    Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. Around each reversal, the
-    displacement is described by two parabolas of the delayed voltage that meet at the corner, one before and one after
-    the reversal. The returned lag is the delay with the smallest residual. The phase of the first harmonic is not used,
-    because it would also include the hysteresis.
+    Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. The displacement around
+    each reversal is fitted by two parabolas in the delayed voltage, one before and one after the reversal, which meet
+    at the reversal. The returned lag is the delay with the smallest residual. The phase of the first harmonic is not
+    used, because it also includes the hysteresis.
 
     Units: ``voltage`` [V], ``displacement`` [m].
     """
@@ -121,8 +121,8 @@ def reversal_delay(voltage, displacement, sample_time: float, longest: float | N
 def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
     """Shift each input by the lag of its recording, and scale all outputs to the amplitude of the first (W2).
 
-    Loops of the same amplitude at different frequencies then coincide if the hysteresis is rate independent. Do not mix
-    recordings of different amplitude: the scaling would hide how the hysteresis depends on the amplitude.
+    After that, loops of the same amplitude at different frequencies coincide if the hysteresis is rate-independent. Do
+    not mix recordings of different amplitude: the scaling would hide how the hysteresis depends on the amplitude.
 
     Units: ``recordings`` [V], [m], ``sample_time`` [s], ``delays`` [s].
     """
@@ -150,12 +150,12 @@ def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
 
 @dataclass(frozen=True)
 class MajorLoop:
-    """Both branches of the largest loop on one grid, normalised to -1 … 1."""
+    """Both branches of the major loop on one grid, normalised to -1 … 1."""
 
     grid: np.ndarray  #: shape (n,); Inputs.
     rising: np.ndarray  #: rising, falling: shape (n,); Outputs at the inputs ``grid``.
     falling: np.ndarray
-    input_low: float  #: input_low, input_high, output_low, output_high: Values that -1 and +1 represent.
+    input_low: float  #: input_low … output_high: Input and output that are normalised to -1 and +1.
     input_high: float
     output_low: float
     output_high: float
@@ -180,7 +180,7 @@ class MajorLoop:
 def major_loop(inputs, outputs) -> MajorLoop:
     """Return the branches between the ends of the input range, averaged over all cycles and recordings.
 
-    The first branch of a recording begins at rest, not on the loop; it is used only if there is no other branch.
+    The first branch of a recording begins at rest, not on the loop, so it is used only if there is no other branch.
     """
     low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
     near = NEAR_END * (high - low)
@@ -257,14 +257,14 @@ def _on_grid(grid, v, y):
 
 #: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Largest α (normalised); larger values would cause overflow of exponentials. Even with much smaller α, a branch
+#: Largest α (normalised), because exponentials overflow with larger values. Even with a much smaller α, a branch
 #: reaches the other one within 1 % of the range.
 LARGEST_ALPHA = 300.0
-#: Weights, relative to the residual, of the roughness of splines and of the size of network weights. They only decide
-#: between equally good fits.
+#: Penalties, relative to the residual, on the roughness of splines and on the size of network weights. They are so
+#: small that they only decide between equally good fits.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
-#: Numbers of units and of knots, tried in order until the residual is small or no longer decreases.
+#: Numbers of network units and of spline knots, tried in order until the residual is small or no longer decreases.
 UNITS = (4, 8, 12, 18, 24)
 KNOTS = (8, 12, 18, 26, 38, 56)
 #: Residual (rms, as a fraction of half the range) below which no larger number is tried.
@@ -284,15 +284,15 @@ class Shapes:
     """f and g of one loop."""
 
     kind: str  #: ``network`` or ``spline``.
-    f: np.ndarray  #: f, g: Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
+    f: np.ndarray  #: f, g: As in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
     g: np.ndarray
     rms: float  #: rms, maximum: Residual of the loop with these functions, as a fraction of half the range.
     maximum: float
-    converged: bool  #: Training converged or reached :data:`TRAINED`; true for splines (no training).
+    converged: bool  #: Whether the training converged or reached :data:`TRAINED`; true for splines.
 
 
 class LoopOperator:
-    """The Duhem equation integrated up and down a grid, once each: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
+    """The Duhem equation integrated up and then down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
 
     def __init__(self, grid, alpha, start):
         longest = float(np.max(np.diff(grid)))
@@ -359,7 +359,7 @@ def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
 
 
 def fit_networks(operator: LoopOperator, target, units: int, random, noise: float = 0.0) -> Shapes:
-    """Return the best networks, with ``units`` tanh units each, of a few trainings with seeded starts."""
+    """Return the best networks, with ``units`` tanh units each, from a few trainings with seeded starts."""
     from scipy.optimize import least_squares  # imported here because only fits need it
 
     v = operator.nodes[:, None]
@@ -455,8 +455,8 @@ SEARCH_KNOTS = 26
 #: Largest number of samples of the minor loops in the search.
 SEARCH_SAMPLES = 800
 ALPHA_TOLERANCE = 1e-3
-#: Smallest distance of a reversal from both ends of the range, as a fraction of the range, for a minor loop that
-#: determines α.
+#: A minor loop determines α only if its reversal is at least this fraction of the range away from both ends of the
+#: range.
 SMALLEST_MINOR = 0.1
 
 
@@ -470,9 +470,9 @@ class DuhemIdentification:
     loop: MajorLoop  #: The branches used for the fit.
     rms: float  #: rms, maximum: Residual of the major loop, as a fraction of its full range.
     maximum: float
-    #: Residual of the recording from which α is identified, as a fraction of the full range; NaN without minor loops.
+    #: Residual of the recording with minor loops, as a fraction of the full range; NaN without minor loops.
     minor_rms: float
-    converged: bool  #: Whether the training of f and g and the search for α converged, with α inside its range.
+    converged: bool  #: Whether the training of f and g converged, and the search for α ended inside its range.
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
 
@@ -576,7 +576,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
 
 
 def _operator(loop: MajorLoop, alpha):
-    """Return the operator, and the outputs that it should have: the rising branch, then the falling branch."""
+    """Return the operator and the target of its output: the rising branch, then the falling branch."""
     return LoopOperator(loop.grid, alpha, loop.rising[0]), np.concatenate([loop.rising, loop.falling[::-1]])
 
 
@@ -609,7 +609,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
     u, y = minor
     block = DuhemHysteresis(replace(parameters, input_start=float(u[0]), output_start=float(y[0])), 1.0)
     first = split_branches(u)[0]
-    # if the first branch starts inside the range, the state of the model there is unknown
+    # if the first branch starts inside the range, the initial state of the model is unknown
     inside = min(abs(u[0] - loop.input_low), abs(u[0] - loop.input_high)) > NEAR_END * (
         loop.input_high - loop.input_low
     )
@@ -626,7 +626,7 @@ def _thinned(u, y):
 
 
 def _search_alpha(loop: MajorLoop, minor):
-    """Return the α that reproduces the minor loops best, and whether it lies inside the searched range."""
+    """Return the α that best reproduces the minor loops, and whether it lies inside the searched range."""
     from scipy.optimize import minimize_scalar  # imported here because only fits need it
 
     random = np.random.default_rng(0)
@@ -691,8 +691,8 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # both recordings begin with the same large reversals; the ratio of their amplitudes is the gain of the linear
-        # part
+        # both recordings begin with the same large reversals, so the ratio of their amplitudes is the gain of the
+        # linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)

@@ -9,21 +9,21 @@
 
 """Linear dynamics after a hysteresis, from the output of the hysteresis and the measurement (:func:`fit_stage`).
 
-Either the user names the structure (one of :data:`STAGES`: a continuous model fitted by output error, ARX, or a matrix
-fraction), or the functions here choose lag, delay and up to two resonances, and identify them alternately with the
-hysteresis.
+The user may name the structure (one of :data:`STAGES`: a continuous model fitted by output error, ARX, or a matrix
+fraction). Otherwise the functions here choose lag, delay and up to two resonances, and identify them alternately with
+the hysteresis.
 
 The output w of the hysteresis and the measured displacement are compared through the spectra of segments. This reduces
 a recording of any length to sums at a few thousand frequencies, so that one evaluation of a model takes a millisecond.
-Both signals are differenced and windowed (Hann) first, so that strong slow movement leaks little into the weak fast
-movement of a resonance. For given poles and delay the response is linear in the numerator coefficients. These are
-solved for exactly (variable projection), so the search for the parameters of a structure has few unknowns: τ, delay,
-and frequency and damping of each mode. A structure with more parameters is chosen only if it predicts held-out segments
-better: in most of the folds, and in total by more than the Bayesian information criterion requires. The parameters of a
-structure with modes are then refined in the time domain (:class:`TimeSearch`).
+Both signals are differenced and windowed (Hann) first, so that little of the strong slow movement leaks into the weak
+fast movement of a resonance. For given poles and delay the response is linear in the numerator coefficients. These
+coefficients are solved for exactly (variable projection), so the search has few unknowns: time constant of the lag,
+delay, and frequency and damping of each mode. A structure with more parameters is chosen only if it predicts held-out
+segments better: in at least three quarters of the folds, and in total by more than the Bayesian information criterion
+requires. The parameters of a structure with modes are then refined in the time domain (:class:`TimeSearch`).
 
 For slow recordings the hysteresis is first fitted together with lag, delay and creep on coarse data; then the dynamics
-after it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement are
+after it are chosen again at the full sample rate. For fast recordings the dynamics between voltage and displacement are
 identified first, because a hysteresis cannot represent a resonance. In both cases hysteresis and dynamics are then
 refined alternately. If the hysteresis is identified from a slow recording, the dynamics after it may be identified from
 a second recording of small, fast movements.
@@ -65,20 +65,19 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Ratio of the recording's length to a segment's length; segments overlap by half.
 LENGTHS = 8
-#: Number of folds. Segments are assigned to the folds in turn, so that the effect of an event is not confined to one
-#: fold.
+#: Number of folds. Segments are assigned to the folds in turn, so that an event affects several folds.
 FOLDS = 4
 #: A sweep passes each frequency once, so one fold may contain more than the fraction SWEPT of the input's power at a
-#: frequency, and the other folds then cannot predict the response there. At these frequencies, the sums are rotated
-#: among the folds, by one fold from each block of BLOCK frequencies to the next (the window correlates lines up to two
-#: apart). This is done only where the fold has real content: more than the fraction LEAST_POWER of its power at
-#: frequencies that differ by less than the fraction BAND.
+#: frequency; the other folds then cannot predict the response there. At these frequencies the sums are shifted among
+#: the folds, by one fold from each block of BLOCK frequencies to the next (blocks, because the window correlates lines
+#: up to two apart). This is done only where the fold has real content: more than the fraction LEAST_POWER of its power
+#: within the relative distance BAND of the frequency.
 SWEPT, BLOCK = 0.8, 4
 LEAST_POWER, BAND = 1e-3, 0.1
 #: Lines of the spectrum that are closer together than this fraction of their frequency are combined.
 RESOLUTION = 2e-3
-#: The noise is assumed smooth over this fraction of an octave on both sides of a frequency, and over at least this
-#: number of frequencies.
+#: The noise is averaged over this fraction of an octave on both sides of a frequency, or over this number of
+#: frequencies on both sides if these extend farther.
 NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
 
@@ -109,7 +108,7 @@ class SegmentSpectra:
         return np.maximum(size, 0.0)
 
     def noise(self, response) -> np.ndarray:
-        """Return Σ |Y - G W|², averaged over the folds and smoothed over the frequency, shape (n,)."""
+        """Return Σ |Y - G W|², averaged over the folds and smoothed over frequency, shape (n,)."""
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
@@ -161,7 +160,7 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
 
 
 def _swept(frequencies, power) -> np.ndarray:
-    """Return where one fold has nearly all input power and also real content, shape (n,) of bool."""
+    """Return at which frequencies one fold has nearly all input power, and real content, shape (n,) of bool."""
     most = np.argmax(power, axis=0)
     total = np.pad(np.cumsum(power, axis=1), ((0, 0), (1, 0)))
     low, high = (np.searchsorted(frequencies, frequencies * (1.0 + side)) for side in (-BAND, BAND))
@@ -171,8 +170,8 @@ def _swept(frequencies, power) -> np.ndarray:
 
 #: Largest number of modes of a structure.
 MOST_MODES = 2
-#: Range of the damping ratio; highest frequency, as a fraction of the sample rate; shortest lag [samples]; longest lag
-#: and delay, as a fraction of a segment; largest number of evaluations of a fit.
+#: Range of the damping ratio; highest frequency of a mode, as a fraction of the sample rate; shortest lag [samples];
+#: longest lag and longest delay, as a fraction of a segment; largest number of evaluations of a fit.
 DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
@@ -185,7 +184,7 @@ SMALL_STEP = float(np.sqrt(np.finfo(float).eps))
 KEPT_COLUMNS = 16
 #: Least number of cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
-#: Smallest error assumed for a model, as a fraction of the output at neighbouring frequencies; it accounts for the
+#: Smallest assumed error of a model, as a fraction of the output at neighbouring frequencies; it accounts for the
 #: leakage of the window.
 SMALLEST_ERROR = 3e-3
 
@@ -221,7 +220,7 @@ class ModalTrial:
 
 @functools.lru_cache(maxsize=8)
 def _backward(frequencies: bytes, sample_time: float) -> np.ndarray:
-    """Return 1/z at frequencies [Hz] (the bytes of their array); cached, because searches need it often."""
+    """Return 1/z at frequencies [Hz], given as the bytes of their array; cached, because searches need it often."""
     return np.exp(-2j * np.pi * sample_time * np.frombuffer(frequencies))
 
 
@@ -233,10 +232,10 @@ def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray,
 
 
 def _held_mode(frequency, damping, sample_time: float, part: float):
-    """Return numerators in 1/z of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) for a held input, and the denominator.
+    """Return ω²/(s² + 2 ζ ω s + ω²) and ω s/(…) for a held input: both numerators in 1/z, and the denominator.
 
-    ``part`` is the fraction of a sample by which the input is late. The three coefficients of each numerator do not
-    include its factor 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
+    ``part`` is the fraction of a sample by which the input is late. The three coefficients of a numerator omit its
+    factor 1/z. Units: ``frequency`` [Hz], ``sample_time`` [s].
     """
     omega = 2.0 * np.pi * frequency
     pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
@@ -250,7 +249,7 @@ def _held_mode(frequency, damping, sample_time: float, part: float):
 
 
 def _held_lag(lag: float, sample_time: float, part: float) -> tuple[float, float, float]:
-    """Return the two numerator coefficients of a lag for a held input, without the factor 1/z, and the pole.
+    """Return a lag for a held input: the two numerator coefficients, without the factor 1/z, and the pole.
 
     Units: ``lag``, ``sample_time`` [s]; ``part`` as in :func:`_held_mode`.
     """
@@ -324,13 +323,13 @@ class ModalSearch:
             self._set(variance)
 
     def weigh(self, response) -> None:
-        """Weight the frequencies of all later fits by the noise, estimated from the residual of a response."""
+        """Weight the frequencies in all later fits by the noise, estimated from the residual of a response."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
         self._set(np.maximum(noise, SMALLEST_ERROR**2 * around))
 
     def _set(self, variance) -> None:
-        """Weight the frequencies of all later fits by a variance."""
+        """Weight the frequencies in all later fits by a variance."""
         self.variance, self.weight = variance, np.sqrt(self.power / variance)
         self.target = self.weight * self.estimate
         self.without = functools.lru_cache(self._without)
@@ -432,7 +431,7 @@ class ModalSearch:
         return np.sum(np.abs(rest) ** 2) - (bb * at**2 - 2.0 * ab * at * bt + aa * bt**2) / left
 
     def with_short_delays(self, trial: ModalTrial) -> np.ndarray:
-        """Return the values of a trial, with its lag replaced by two samples and its delay by one."""
+        """Return the values of a trial with the lag set to two samples and the delay to one."""
         head = [np.log(2.0 * self.T)] * trial.structure.lag + [1.0] * trial.structure.delay
         return np.append(head, trial.values[len(head) :])
 
@@ -477,7 +476,7 @@ class ModalSearch:
 
         The coefficients depend on the values: with columns Φ, coefficients c and the residual r,
         ΦᵀΦ dc = -(dΦᵀ r + Φᵀ dΦ c) (variable projection, Golub and Pereyra 1973). Only dΦ is a finite difference, so
-        the normal equations are solved once.
+        the normal equations are solved only once.
         """
         low, high = self.bounds(structure)
         columns, weight = self.columns(structure, values), self.weight[:, None]
@@ -497,10 +496,10 @@ class ModalSearch:
         """Return the standard deviations of lag [s], delay [s], and frequency [Hz] and damping of the modes.
 
         The window correlates neighbouring lines; :func:`parameter_covariance` includes this correlation. The window
-        also averages the response over :data:`WINDOW_WIDTH` lines, which makes resonances wider; the resulting shift of
-        the parameters is added to their deviations (root sum of squares). With two parallel modes and no lag, no
-        deviation of the delay is returned: the free numerators of the modes can represent half a sample of delay, so
-        several delays are equally likely.
+        also averages the response over :data:`WINDOW_WIDTH` lines, which makes resonances wider. The resulting shift of
+        the parameters is included in their deviations (root sum of squares). With two parallel modes and no lag, the
+        deviation of the delay is not returned: the free numerators of the modes can represent half a sample of delay,
+        so several delays are equally likely.
         """
         if not trial.values.size:
             return {}
@@ -542,11 +541,11 @@ class ModalSearch:
 
 #: Order of the autoregressive model that whitens the residual, and number of times that it is fitted: assumed.
 WHITENING, WHITENED = 40, 2
-#: Largest number of evaluations of the refinement in time. A sample is an outlier if its whitened residual is more than
-#: FAR times the median over AROUND samples.
+#: Largest number of evaluations of the refinement in the time domain. A sample is an outlier if its whitened residual
+#: is more than FAR times the median over AROUND samples.
 REFINEMENTS, FAR, AROUND = 12, 10.0, 101
-#: Residual, relative to the output, below which no refinement is needed; range of the number of samples in which a
-#: refinement is made. Fewer samples do not determine the whitening filter; with more, the segments of the spectra are
+#: Residual, relative to the output, below which no refinement is needed; smallest and largest number of samples for a
+#: refinement. Fewer samples do not determine the whitening filter; with more samples, the segments of the spectra are
 #: so long that the window has little effect.
 EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
 
@@ -554,10 +553,10 @@ EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
 class TimeSearch(ModalSearch):
     """Search in the time domain: output error of whitened samples.
 
-    The window of the spectra suppresses the first and the last samples and makes resonances wider than they are. Both
-    effects are large if the recording excites a resonance only once, by a sweep or a step. The residual is whitened by
-    an autoregressive model, so that the slow errors of a hysteresis have little weight. A column of samples is stored
-    as complex numbers of two neighbouring samples each, so that its real and imaginary parts are the samples.
+    The window of the spectra suppresses the first and last samples and makes resonances wider. Both effects are large
+    if the recording excites a resonance only once, by a sweep or a step. The residual is whitened by an autoregressive
+    model, so that the slow errors of a hysteresis have little weight. A column of samples is stored as complex numbers,
+    each of which contains two neighbouring samples as its real and imaginary part.
     """
 
     def __init__(self, spectra: SegmentSpectra, w, y, first: int):
@@ -695,14 +694,14 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 #: Number of initial frequencies whose columns are computed together.
 TRIED_TOGETHER = 20
-#: Largest number of structures with the same number of modes that are compared on held-out segments.
+#: For each number of modes, largest number of structures that are compared on held-out segments.
 JUDGED = 3
-#: Number of evaluations after which the structures are compared for the first time, and number of structures whose fit
-#: is continued.
+#: Number of evaluations before the first comparison of the structures, and number of structures whose fit then
+#: continues.
 SCREENED, CONTINUED = 10, 4
-#: A larger structure must predict better in at least the fraction MAJORITY of the folds. After modes were added, only
-#: folds count that have at least the fraction LEAST_SHARE of the input's power near these modes (within the factor
-#: NEARBY_FREQUENCY of their frequencies). Each added mode must also improve the prediction at the frequencies near it.
+#: A larger structure must predict better in at least the fraction MAJORITY of the folds. If modes were added, only
+#: those folds count that have at least the fraction LEAST_SHARE of the input's power near these modes (within the
+#: factor NEARBY_FREQUENCY of their frequencies). Each added mode must also improve the prediction near its frequency.
 MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
 #: Largest number of evaluations of a fit without one fold; such a fit starts near its minimum.
 FEW_EVALUATIONS = 6
@@ -724,7 +723,7 @@ def choose_dynamics(
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
     search.weigh(largest[0].response)
     low, high = search.mode_range
-    # a short recording leaves no frequency for a mode between the lowest one and half of the sample rate
+    # in a short recording the lowest allowed frequency of a mode may be near half the sample rate
     for _ in range(most_modes if 1.2 * low < high else 0):
         largest.append(_with_mode(search, largest[-1]))
     search.weigh(largest[-1].response)
@@ -751,7 +750,7 @@ def _price(spectra: SegmentSpectra) -> float:
 
 
 def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
-    """Return the trial found by adding parameters as long as each addition improves the prediction."""
+    """Add parameters as long as each addition improves the prediction, and return the last trial."""
     price = _price(spectra)
     order = sorted(judged, key=lambda pair: (pair[0].structure.numbers, pair[1].sum()))
     best, least = order[0]
@@ -776,7 +775,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
 
 
 def _majority(gain, spectra: SegmentSpectra, near) -> bool:
-    """Return whether most folds improve; after adding modes, only folds with content near these modes count."""
+    """Return whether enough folds (MAJORITY) improve; for added modes, only folds with content near them count."""
     telling = np.ones(len(gain), dtype=bool)
     if near:
         power = spectra.input[:, np.any(near, axis=0)].sum(axis=1)
@@ -786,7 +785,7 @@ def _majority(gain, spectra: SegmentSpectra, near) -> bool:
 
 
 def _added_modes(modes, present) -> list[Mode]:
-    """Return the modes that remain after removing, for each mode in ``present``, the mode nearest in frequency."""
+    """Return ``modes`` without the mode nearest in frequency to each mode in ``present``."""
     left = list(modes)
     for mode in present if len(modes) > len(present) else ():
         left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
@@ -818,8 +817,8 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         found += [(float(cost), (float(frequency), damping)) for cost, frequency in zip(costs, some, strict=True)]
     starts: list[np.ndarray] = []
     taken: list[float] = []
-    # each frequency also starts with a short lag and delay: values of lag and delay that compensated for the missing
-    # mode lead to a local minimum
+    # each frequency is also tried with a short lag and delay, because the lag and delay that compensated for the
+    # missing mode lead to a local minimum
     heads = (trial.values, search.with_short_delays(trial))
     for _, (frequency, damping) in sorted(found):
         if len(taken) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
@@ -853,7 +852,7 @@ def _best_variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool) -
 
 
 def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:
-    """Return the trial, and its structure's errors in each fold and frequency after a fit to the other folds only."""
+    """Return the trial, and the errors of its structure at each fold and frequency after a fit to the other folds."""
     spectra, found = search.spectra, []
     for fold in range(len(spectra.input)):
         others = search.without(fold)
@@ -864,7 +863,7 @@ def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.nd
 
 #: Numbers of poles and zeros of the named continuous models.
 CONTINUOUS = {"first_order": (1, 0), "second_order": (2, 0), "second_order_zero": (2, 1), "third_order": (3, 0)}
-#: Linear stages (dynamics after the hysteresis) whose structure the user chooses, with descriptions.
+#: Linear stages (dynamics after the hysteresis) with a structure chosen by the user, and their descriptions.
 STAGES = {
     "first_order": "continuous, 1 pole, by output error",
     "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
@@ -874,7 +873,7 @@ STAGES = {
     "arx2": "discrete, a1 a2 b0 b1, least squares",
     "frequency_response": "discrete, order chosen, matrix fraction on Welch's frequency response",
 }
-#: Name of the linear stage with lag, delay and modes; its structure is chosen by the prediction of held-out segments.
+#: Linear stage with lag, delay and modes, whose structure is chosen by the prediction of held-out segments.
 MODES = "modes"
 
 
@@ -883,7 +882,7 @@ class LinearStage:
     """Dynamics with unit DC gain, and the gain separately."""
 
     dynamics: LinearParameters
-    gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units; :data:`MODES` have no offset.
+    gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units; :data:`MODES` has no offset.
     offset: float
     fitted: int  #: Number of fitted parameters.
     numbers: dict[str, float]  #: Figures for the user, by names with units.
@@ -996,16 +995,17 @@ def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings,
     )
 
 
-#: A recording that cannot be reduced to this number of samples counts as fast.
+#: A recording that condensing does not reduce to this number of samples counts as fast.
 FAST_SAMPLES = 12000
-#: Numbers of samples used for fast recordings: for the search for creep, and for the final weights.
+#: Numbers of samples of fast recordings that are used in the search for creep, and for the final weights.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
-#: Up to this harmonic of the drive, the hysteresis loops themselves contain power. A resonance there counts only if the
-#: voltage excites it: in one segment, more than the fraction LEAST_POWER of the voltage's power is within the fraction
-#: BAND of the resonance frequency. A segment has at least CYCLES cycles.
+#: The hysteresis loops themselves contain power up to this harmonic of the drive. A resonance at these frequencies
+#: counts only if the voltage excites it, that is, if in at least one segment more than the fraction LEAST_POWER of the
+#: voltage's power lies within the relative distance BAND of the resonance frequency. A segment has at least CYCLES
+#: cycles.
 HARMONICS, CYCLES = 10, 4.0
-#: Damping ratio below which a mode is a resonance, which a lag cannot represent.
+#: A mode with a damping ratio below this value is a resonance, which a lag cannot represent.
 SHARP = 0.3
 
 
@@ -1035,18 +1035,18 @@ class TurnSearch:
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # this structure suffices to choose the dynamics after the hysteresis; with these dynamics, settled()
-            # chooses it again
+            # this structure of the hysteresis suffices to choose the dynamics; settled() chooses it again with these
+            # dynamics
             kept = {"like": together.structure} if together.structure is not None else {}
-            # if the samples do not resolve a lag or delay of one sample, they do not resolve faster dynamics either
+            # samples that do not resolve a lag or delay of one sample do not resolve faster dynamics either
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
-        # small loops are less steep than large ones: without a hysteresis, a lag parallel to the modes would fit this
-        # difference, and would then replace part of the loops
+        # small loops are less steep than large ones; without a hysteresis, a lag parallel to the modes would fit this
+        # difference and later replace part of the loops
         start = self.choose(self.voltage, zeros=False).part
         with contextlib.suppress(ParameterError, IdentificationError):
             if start.modes:
-                # the structure that was chosen with other modes is also right with these modes
+                # the structure of the hysteresis that was chosen with other modes is also right with these modes
                 like = found[-1].structure if len(found) > 1 else None
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, self.creeps), **kept), like=like)
             elif not found:
@@ -1074,15 +1074,14 @@ class TurnSearch:
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
     def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearStage:
-        """Choose the dynamics from their input ``moved``, shape (N,), to the measured displacement."""
+        """Choose the dynamics between their input ``moved``, shape (N,), and the measured displacement."""
         how: dict[str, Any] = dict(parts=self.parts, late=late, zeros=zeros, accepted=self.excited)
         return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how)
 
     def excited(self, frequency: float) -> bool:
         """Return whether a resonance at a frequency can be distinguished from the shape of the loops.
 
-        At the first harmonics of the drive the hysteresis itself produces movement, so the voltage must have power
-        there.
+        At low harmonics of the drive the hysteresis itself produces movement, so the voltage must have power there.
         """
         v = self.voltage[self.first :]
         cycles = 0.5 * max(len(turning_points(v)) - 1, 1)
@@ -1104,8 +1103,8 @@ class TurnSearch:
     def settled(self, fit: HammersteinFit, sharp: bool = False, like=None) -> list[HammersteinFit]:
         """Alternately choose the dynamics after the hysteresis and refit the hysteresis and its creep.
 
-        With ``sharp``, do this only if there is a resonance that the present fit cannot represent. The first iteration
-        chooses the structure of the hysteresis again, unless ``like`` gives the structure of another fit.
+        With ``sharp``, do this only if there is a resonance, which the present fit cannot represent. The first
+        iteration chooses the structure of the hysteresis again, unless ``like`` gives the structure of another fit.
         """
         found: list[HammersteinFit] = []
         stage = None
@@ -1135,7 +1134,7 @@ class TurnSearch:
 def _less_certain(stage: LinearStage, before: LinearStage | None) -> dict[str, float]:
     """Return the deviations of a linear stage, enlarged by its differences from the previous iteration.
 
-    Errors of the hysteresis model change the identified dynamics, but are not visible in the scatter of the response.
+    Errors of the hysteresis model change the identified dynamics, but do not appear in the scatter of the response.
     """
     earlier = {} if before is None else before.numbers
     return {
@@ -1150,7 +1149,7 @@ AT_BOUND = 0.01
 
 
 def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
-    """Return a sentence for each mode whose damping or frequency ended at a bound of its search."""
+    """Return a sentence for each mode whose damping or frequency is at a bound of its search."""
     found = []
     for mode in part.modes if part is not None else ():
         ends = [("damping", mode.damping, end) for end in DAMPING_RANGE]
@@ -1169,7 +1168,7 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     """Return ``chain`` with the dynamics and the sample rate of the fast recording, and the gain of small movements.
 
     Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would
-    represent this difference instead of the dynamics.
+    represent this difference.
     """
     if not chain.invertible:
         raise IdentificationError(

@@ -9,10 +9,10 @@
 
 """Excitations of a frequency-response analyser, and the periods of such excitations in a recording.
 
-A multisine of random phases excites the odd harmonics, except one in each group, which is omitted at random. Such a
-multisine shows the nonlinear response of an axis: even distortion appears on the even lines, odd distortion on the
-omitted odd lines [1]_. With a stepped sine, distortion appears as harmonics; with a noise excitation, distortion and
-noise cannot be separated.
+A multisine has random phases and excites the odd harmonics; in each group of them one is omitted at random. Such a
+multisine shows the nonlinear response of an axis: even distortion appears at the even harmonics, odd distortion at the
+omitted odd harmonics [1]_. With a stepped sine, distortion appears as harmonics; with noise as excitation, distortion
+and noise cannot be separated.
 
 References
 ----------
@@ -72,7 +72,7 @@ class Experiment:
     points : int
         Frequencies of a stepped sine.
     seed : int
-        Seed of phases, omitted lines and noise.
+        Seed of the random phases, omitted lines and noise.
     """
 
     kind: str = "multisine"
@@ -89,7 +89,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """Position of the excited periods in a recording."""
+    """Position and structure of an excitation in a recording."""
 
     kind: str
     first: int  #: First sample of the excitation.
@@ -102,7 +102,7 @@ class Plan:
     #: Multisine: excited harmonics; stepped sine: cycles per block of each frequency; noise: first and last line of the
     #: segments.
     lines: tuple[int, ...] = field(default=())
-    #: loop, at: ``open`` or ``closed``; and the excited point: ``voltage``, ``command`` or ``reference``.
+    #: loop, at: ``open`` or ``closed`` loop, and the excited point: ``voltage``, ``command`` or ``reference``.
     loop: str = "open"
     at: str = "voltage"
 
@@ -120,7 +120,7 @@ class Plan:
 
     @classmethod
     def from_text(cls, text: str) -> Plan:
-        """Return the plan from a text that :attr:`text` has returned."""
+        """Return the plan from a text of :attr:`text`."""
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
             raise ValueError("not the plan of an excitation")
@@ -131,7 +131,7 @@ class Plan:
         return plan
 
     def _sound(self) -> bool:
-        """Return whether types and sizes are consistent."""
+        """Return whether the types and sizes of the fields are consistent."""
         samples, lines = self.samples, self.lines
         if not (isinstance(samples, tuple) and isinstance(lines, tuple)):
             return False
@@ -230,7 +230,7 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
         raise _too_slow(low, block / rate, "a block")
     cycles, samples = [], []
     for frequency in np.geomspace(low, high, asked.points):
-        # whole cycles per block: of the lengths from the requested length up, choose the one with the nearest frequency
+        # whole cycles per block: of the lengths from the requested one up, choose the one with the nearest frequency
         least = max(block, round(rate / frequency))
         lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
         turns = np.maximum(np.round(frequency * lengths / rate), 1)
@@ -257,7 +257,7 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
     draws = uniform(asked.seed, 2 * N)
     values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
     frequencies = np.fft.rfftfreq(N, 1.0 / rate)
-    # one more line on each side, because the window spreads each line
+    # one more line on each side, because the window spreads a line to its neighbours
     inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
     inside[0] = False
     values = np.fft.irfft(np.fft.rfft(values) * inside, N)
@@ -272,9 +272,9 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
 def orthogonal_multisines(inputs: int, period: int, lines, realisations: int, seed: int = 1) -> np.ndarray:
     """Return periods of simultaneous multisines for all inputs, shape (realisations, period, inputs), with peak 1.
 
-    Realisations come in groups of ``inputs``. Within a group the phases of input i in realisation r are the random
-    phases of the group plus 2π i r/inputs, so at each line the spectra of all inputs form an orthogonal matrix. Each
-    group has random phases of its own [1]_ (section 2.7.2).
+    Each group of ``inputs`` realisations has new random phases for every input [1]_ (section 2.7.2); realisation r of
+    the group adds 2π i r/inputs to the phases of input i. At each line the spectra of a group therefore form an
+    orthogonal matrix.
 
     Units: ``period`` [samples], ``lines`` [harmonics of the period].
     """

@@ -20,11 +20,11 @@ because a disturbance usually affects several sensors.
 
 In a closed loop the noise of the output is fed back to the input, which biases S_yu S_uu⁻¹ towards the inverse of the
 controller. S_ye S_ue⁻¹ has no such bias, because the external excitation e is uncorrelated with the noise (indirect
-method): all functions accept e as ``excitation``. In both cases the residual is y - G u.
+method), so all functions accept e as ``excitation``. In both cases the residual is y - G u.
 
-Odd and even distortion and noise are separated at lines that are not excited. A distortion level is stated in the unit
-of the response, as the error of the response that would have the same effect on the output. In a closed loop the input
-also has content at these lines; the linear response to this content is subtracted first.
+Noise, odd distortion and even distortion are separated at lines that are not excited. In a closed loop the input also
+has content at these lines; the linear response to this content is subtracted first. A distortion level has the unit of
+the response: it is the error of the response that would have the same effect on the output.
 
 Files: NPZ, which can be read back completely, and CSV and YAML for other programs.
 
@@ -53,9 +53,9 @@ from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array
 from hysteresis_ros.identification.excitations import KINDS, Plan
 from hysteresis_ros.units import UNITS
 
-#: Lines of an input whose amplitude is below this fraction of the input's strongest line count as not excited.
+#: A line of an input counts as excited if its amplitude is above this fraction of the input's strongest line.
 EXCITED = 1e-3
-#: Coherence below which an estimated response is considered unreliable.
+#: Coherence below which a line counts as poorly estimated.
 POOR_COHERENCE = 0.5
 
 
@@ -74,8 +74,8 @@ class FrequencyResponse:
     coherence: np.ndarray | None = None
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
-    warnings: tuple[str, ...] = ()  #: Poor coherence, few averages …
-    #: Complex degrees of freedom of the total variance; if the total variance is not known, of the noise variance.
+    warnings: tuple[str, ...] = ()  #: Poor coherence, few averages and others.
+    #: Complex degrees of freedom of the total variance, or else of the noise variance.
     degrees: float | None = None
 
     def band(self, low: float, high: float) -> FrequencyResponse:
@@ -249,7 +249,7 @@ def averaged(frequency, U, Y, E):
     spread = np.einsum("fji,fjk,fki->fi", inverse.conj(), Em @ Eh, inverse).real
     noise = total = None
     if periods > 1:
-        # variations of the output that follow from variations of the input are not noise of the output
+        # variations of the output that the input causes are not noise of the output
         dU, dY = (part - part.mean(axis=1, keepdims=True) for part in (U, Y))
         rest = dY - np.einsum("fij,rpjf->rpif", response, dU)
         per_line = np.sum(np.abs(rest) ** 2, axis=(0, 1)).T / (realisations * (periods - 1) * periods)
@@ -262,7 +262,7 @@ def averaged(frequency, U, Y, E):
 
 
 def _degrees(realisations: int, periods: int, inputs: int) -> float | None:
-    """Return the complex degrees of freedom of the total variance; if it is not known, of the noise variance."""
+    """Return the complex degrees of freedom of the total variance, or, if this is not known, of the noise variance."""
     if realisations > inputs:
         return float(realisations - inputs)
     return float(realisations * (periods - 1)) if periods > 1 else None
@@ -275,7 +275,7 @@ def _poor_coherence(coherence):
 
 
 def _effective_averages(count, segment, step, window):
-    """Return the number of independent segments with the variance of ``count`` overlapping segments (Welch, eq. 16)."""
+    """Return how many independent segments have the same variance as ``count`` overlapping ones (Welch, eq. 16)."""
     shape = scipy.signal.get_window(window, segment)
     correlation = (shape[step:] @ shape[: segment - step] / (shape @ shape)) ** 2
     return count / (1.0 + 2.0 * correlation * (count - 1) / count)
@@ -308,8 +308,8 @@ def _refuse_constant(u):
             raise DataError("constant", f"input {i} is constant; a frequency response needs a varying input")
 
 
-#: Largest condition number of the inputs' spectra at a line; above it the inputs count as correlated. The condition
-#: number is the factor by which the noise is amplified in the direction that is excited least.
+#: Largest condition number of the inputs' spectra at a line; above it the inputs count as correlated. In the direction
+#: that is excited least, the noise is amplified by the condition number.
 MOST_CONDITION = 1e3
 
 
@@ -318,15 +318,15 @@ class ResponseMatrix:
     """The response from all inputs to all outputs at the excited lines, with covariances of noise and distortion."""
 
     response: FrequencyResponse  #: Response, shape (F, q, m), with the variances of its entries.
-    #: shape (F, q, q), complex; covariance of the noise in the output spectrum of one realisation, averaged over the
-    #: periods of the realisation [m²]; None if there is only one period.
+    #: shape (F, q, q), complex; covariance [m²] of the noise in the output spectrum of one realisation, which is
+    #: averaged over its periods; None if there is only one period.
     noise: np.ndarray | None
-    #: shape (F, q, q), complex; covariance of noise and nonlinear distortion together; None with only m realisations.
+    #: shape (F, q, q), complex; covariance [m²] of noise and nonlinear distortion together; None with m realisations.
     total: np.ndarray | None
-    condition: np.ndarray  #: shape (F,); Condition number of the inputs' spectra over the realisations.
+    condition: np.ndarray  #: shape (F,); Condition number of the matrix of input spectra (inputs × realisations).
 
     def level(self, covariance) -> np.ndarray:
-        """Return the RMS value [m] of each output, shape (q,), from a covariance, summed over the lines."""
+        """Return the RMS value [m] of each output, shape (q,), from a covariance: the sum over the lines."""
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:
@@ -379,7 +379,7 @@ def response_matrix(u, y, sample_time: float, period: int, input_unit: str = "V"
 
 
 def _require_independent(inputs, sample_time: float) -> None:
-    """Refuse inputs whose spectra are nearly linearly dependent at an excited line."""
+    """Refuse inputs with nearly linearly dependent spectra at an excited line."""
     N = inputs.shape[3]
     U = np.fft.rfft(inputs.mean(axis=1), axis=2)[..., 1 : (N + 1) // 2].transpose(2, 1, 0) / N
     strength = np.abs(U).max(axis=(1, 2))
@@ -398,26 +398,25 @@ def _require_independent(inputs, sample_time: float) -> None:
         )
 
 
-#: Number of nearest detection lines over which a distortion level is averaged.
+#: Number of detection lines, the nearest ones, over which a distortion level is averaged.
 NEAREST = 8
-#: Highest evaluated harmonic of a sine; higher harmonics contain more noise than distortion.
+#: Highest harmonic of a sine that is evaluated; higher ones contain more noise than distortion.
 HARMONICS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """RMS levels at the excited lines, for one realisation averaged over its periods, each of shape (F,)."""
+    """RMS levels at the excited lines, each of shape (F,), for one realisation averaged over its periods."""
 
     noise: np.ndarray
-    odd: np.ndarray  #: odd, even: Levels after subtraction of the noise, at least 0.
+    odd: np.ndarray  #: odd, even: Levels without the noise, at least 0; NaN if they cannot be separated.
     even: np.ndarray
 
 
 def detected(U, Y, harmonics, response) -> Distortion:
     """Return noise and distortion levels of a multisine on odd lines, some of which are omitted (detection lines).
 
-    The level of odd distortion is NaN if no odd lines are omitted. Both levels are NaN if even lines are excited,
-    because no line then contains only distortion.
+    The level of odd distortion is NaN if no odd lines are omitted. Both levels are NaN if even lines are excited.
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -438,7 +437,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
     """Return the levels of noise, odd and even distortion of a sine, from its harmonics."""
     size = abs(U[:, cycles].mean()) ** 2
     places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
-    # in a closed loop the input also has harmonics, but only the response at the sine itself is known
+    # in a closed loop the input also has harmonics, but the response is known only at the frequency of the sine
     power, noise = _scatter((Y - response * U)[None, :, places])
     clear = power - noise
     odd, even = max(clear[2::2].sum(), 0.0), max(clear[1::2].sum(), 0.0)
@@ -446,7 +445,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
 
 
 def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
-    """Return the power of each line's mean over the periods, averaged over the realisations, and its noise power."""
+    """Return, for each line, the power of the mean over the periods and its noise, averaged over realisations."""
     periods = rest.shape[1]
     power = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
     noise = np.mean(np.var(rest, axis=1, ddof=1), axis=0) / periods
@@ -463,12 +462,12 @@ def near_level(harmonics, seen, clear) -> np.ndarray:
     return np.sqrt(np.maximum((total[first + count] - total[first]) / count, 0.0))
 
 
-#: Smallest accepted median, over the lines, of the signal-to-noise ratio of the response [dB].
+#: Smallest accepted signal-to-noise ratio of the response, median over the lines [dB].
 LEAST_RATIO = 6.0
-#: Two sections of a signal count as periods if the median of their difference is below this fraction of the standard
-#: deviation of the signal.
+#: Two sections of a signal count as periods if the median of their absolute difference is below this fraction of the
+#: standard deviation of the signal.
 SAME = 0.03
-#: Lines of a recorded excitation below this fraction of its strongest line are attributed to late samples or rounding.
+#: Lines of a recorded excitation below this fraction of its strongest line come from late samples or rounding.
 LINE = 0.03
 
 
@@ -476,7 +475,7 @@ LINE = 0.03
 class Analysis:
     """A frequency response with distortion and signal-to-noise ratio."""
 
-    response: FrequencyResponse  #: Response with one input and one output.
+    response: FrequencyResponse  #: Response from one input to one output.
     distortion: Distortion | None  #: None for a noise excitation.
     kind: str  #: Kind of the excitation.
 
@@ -568,7 +567,8 @@ def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
-    # error of the response due to the Hann window: half the variance of its spectrum (1/3 line²) times the curvature
+    # error of the response due to the Hann window: curvature times half the variance of the window's spectrum (1/3
+    # line²)
     bent = np.abs(np.diff(found.single, 2)) / 6.0
     blurred = bent > found.radius()[1:-1, 0, 0]
     if blurred.any():
@@ -615,7 +615,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
             f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must contain at least two "
             "periods of at least 16 samples"
         )
-    # if there are enough periods, the first period is discarded, because the system settles during it
+    # if there are more than two periods, the first is discarded, because the system settles during it
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
     lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
@@ -623,7 +623,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
 
 
 def _repeats(e) -> int | None:
-    """Return the period [samples] of a signal without its first quarter; None if it does not repeat."""
+    """Return the period [samples] of a signal, from its last three quarters; None if these do not repeat."""
     tail = e[e.size // 4 :] - np.mean(e[e.size // 4 :])
     correlation = np.fft.irfft(np.abs(np.fft.rfft(tail, 2 * tail.size)) ** 2)[: tail.size // 2 + 1]
     correlation = correlation / (tail.size - np.arange(correlation.size))
@@ -646,7 +646,7 @@ LEVELS = ("noise", "odd", "even")
 
 
 def require_response_file(path) -> None:
-    """Refuse a response file that cannot be written; called before any movement."""
+    """Refuse a response file that cannot be written; to be called before any movement."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
@@ -694,7 +694,7 @@ def load_response(path) -> Analysis:
 
 
 def _response_of(held: dict[str, np.ndarray]) -> Analysis:
-    """Return the response that arrays contain; raise ValueError or KeyError if they do not contain one."""
+    """Return the response in ``arrays``; raise ValueError or KeyError if they do not contain a response."""
     frequency, sample_time = real_array(held, "frequency"), real_array(held, "sample_time")
     input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
     if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):

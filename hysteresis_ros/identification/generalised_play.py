@@ -9,9 +9,9 @@
 
 """Generalised, rate-dependent plays from data, together with lag, delay and creep.
 
-Four structures are compared: plain plays, plays whose thresholds grow with the speed, plays between two envelopes, and
-plays with both. The linear part is searched with plain plays and refined with each structure; the weights follow by
-constrained least squares. A structure with more freedom is chosen only if it predicts held-out blocks of the recording
+Four structures are compared: plain plays, plays with thresholds that grow with the speed, plays between two envelopes,
+and plays with both. The linear part is searched with plain plays and refined with each structure; constrained least
+squares gives the weights. A structure with more freedom is chosen only if it predicts held-out blocks of the recording
 better (:func:`.hammerstein.survivor`).
 """
 
@@ -48,11 +48,11 @@ from hysteresis_ros.models.hysteresis.generalised_play import (
 from hysteresis_ros.recordings.loops import turning_points
 
 PLAYS = 12
-#: Parameters searched in addition to the weights, for each kind of freedom; and upper limit of the rate, relative to
-#: the time between reversals.
+#: For each kind of freedom, the parameters searched in addition to the weights; upper limit of the rate, as a fraction
+#: of the time between reversals.
 FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
 LONGEST_RATE = 0.1
-#: Initial value and range of the common bend of both envelopes, and of the difference between their bends.
+#: Initial value and limits of the mean bend of both envelopes, and of the difference between their bends.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
 #: Speeds count as different if their ratio exceeds DIFFERENT. Only swings over more than the fraction LEAST_SWING of
 #: the range are compared.
@@ -107,7 +107,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 
 
 def competitors(before, progress) -> list[GeneralisedPlays]:
-    """Return fits with envelopes and, if speeds differ, with rate-dependent thresholds.
+    """Return fits with envelopes and, if the speeds differ, with rate-dependent thresholds.
 
     The structure of their linear part is the same as in the fit ``before``.
 
@@ -167,8 +167,8 @@ class GeneralisedPlays(PlayFit):
     def _block(self, shape) -> GeneralisedPlayHysteresis:
         """Return the block for a given shape, with its plays at rest and weights of 1.
 
-        A search uses hundreds of shapes, and the check of all parameters takes longer than the plays. The block is
-        therefore checked once, and only packed again for each shape.
+        A search uses hundreds of shapes, and checking all parameters takes longer than simulating the plays. The block
+        is therefore checked once, and only its shape parameters are replaced.
         """
         if self.block is None:
             self.block = GeneralisedPlayHysteresis(
@@ -199,7 +199,7 @@ class GeneralisedPlays(PlayFit):
         return other
 
     def parameters(self) -> HysteresisParameters:
-        """Return the fit as parameters of the block, without plays of weight 0."""
+        """Return the fit as parameters of the block; plays of weight 0 are omitted."""
         require_rising(float(self.weights.sum()))
         slope = max(float(self.weights[0]), LEAST_SLOPE * float(self.weights.sum()))
         found = self.shaped(self.shape, self.weights[1:], slope)

@@ -7,18 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hammerstein models: hysteresis, creep, lag and delay fitted together, structures compared on held-out data.
+"""Hammerstein models: joint fits of hysteresis, creep, lag and delay, and comparison of structures on held-out data.
 
-Lag and creep widen every loop. If the hysteresis had to explain this, predictions at other speeds and amplitudes
-would be wrong, so lag and creep are fitted separately: for each trial of the few parameters of the linear part, the
-many weights of the hysteresis follow from constrained linear least squares (variable projection), and the trial with
-the smallest residual is chosen. Lag, delay and creep are accepted one after the other, each if it reduces the residual
-by :data:`.thresholds.LINEAR_PART`. Then outliers are removed, and the residual is computed with the kernels of the
-nodes.
+Lag and creep widen every loop. If the hysteresis had to explain this width, predictions at other speeds and amplitudes
+would be wrong. Lag and creep are therefore parameters of their own: for each trial of the few parameters of the linear
+part, constrained linear least squares gives the many weights of the hysteresis (variable projection), and the trial
+with the smallest residual is chosen. Lag, creep and delay are tried one after the other; each is accepted if it reduces
+the residual by :data:`.thresholds.LINEAR_PART`. Then outliers are removed, and the residual is computed with the
+kernels of the nodes.
 
 Structures with more freedom are compared on held-out data: each part of a recording is predicted from the rest of it. A
-part consists of several intervals spread over the recording, because a single interval could be the only one with large
-loops, and its prediction would then be an extrapolation.
+part consists of several intervals spread over the recording, because a single interval may be the only one with large
+loops; its prediction would be an extrapolation.
 """
 
 from __future__ import annotations
@@ -56,18 +56,19 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Largest lag and delay, as fractions of the slow half cycle; first ones of a search, as fractions of the mean half
-#: cycle; largest creep rate per decade.
+#: Largest lag and delay, as a fraction of the slow half cycle; initial lag and initial delay of a search, as fractions
+#: of the mean half cycle.
 LONGEST_LAG, FIRST_LAG, FIRST_DELAY = 0.6, 0.12, 0.03
-#: Part of the power of a voltage that is slower than its slow half cycle.
+#: This fraction of a voltage's power lies below the frequency of its slow half cycle.
 SLOW_PART = 0.1
-#: A value lies at an end of its range if its distance is below this fraction of the range.
+#: A value lies at an end of its range if its distance from the end is below this fraction of the range.
 AT_END = 1e-4
+#: Largest creep rate per decade.
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
-#: Step of the derivatives as a fraction of a parameter, and smallest step as a fraction of the parameter's range.
+#: Step of the derivatives, as a fraction of the parameter; smallest step, as a fraction of the parameter's range.
 RELATIVE_STEP, SMALLEST_STEP = 1e-3, 1e-6
-#: Singular values of the sensitivities below this fraction of the largest are rounding errors.
+#: Singular values of the sensitivities below this fraction of the largest one are rounding errors.
 SMALLEST_VALUE = 3e-8
 
 
@@ -78,17 +79,17 @@ class HammersteinFit(PlantModel):
     linear_part: LinearPart
     rmse: float  #: RMS residual of the fit [m], including outliers.
     stroke: float  #: Peak-to-peak displacement of the fitted samples [m].
-    #: Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis;
-    #: the correlation of the residual is taken into account.
+    #: Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis,
+    #: including the effect of the correlation of the residual.
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    converged: bool = True  #: False: the optimiser reached its limit of evaluations, and this is the best point found.
+    converged: bool = True  #: False: the search reached its limit of evaluations; this is the best point found.
     skipped: int = 0  #: Number of samples at the beginning of the recording that the fit omits.
     drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
-    #: Standard deviation of the drift [m/s], even if no drift is found: drifts below it cannot be distinguished from
+    #: Standard deviation of the drift [m/s], also if no drift is found: a smaller drift cannot be distinguished from
     #: creep.
     drift_deviation: float = math.nan
-    numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
+    numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, by names with units.
     kept_rmse: float = math.nan  #: RMS residual without outliers [m]; comparable with the held-out error.
     structure: Any = None  #: Structure that was chosen, for use in a repeated fit.
 
@@ -99,7 +100,7 @@ class HammersteinFit(PlantModel):
 
 
 def search_linear_part(search: PartSearch, linear, guess=None):
-    """Accept lag, creep and delay one after the other, each if it lowers the residual enough.
+    """Try lag, creep and delay one after the other, and accept each if it reduces the residual enough.
 
     ``guess`` holds initial values of the searches, by name.
     """
@@ -118,8 +119,8 @@ def search_linear_part(search: PartSearch, linear, guess=None):
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
-        # start at rest at 0 V, as nodes do, unless a start at rest under the first voltage fits clearly better; assume
-        # an input that is linear between the samples, unless a held input fits clearly better
+        # alternatives must fit clearly better: creep that had settled under the first voltage, instead of a start at
+        # rest at 0 V as in the nodes; a held input, instead of an input that is linear between the samples
         bases, threshold = [base], LINEAR_PART
         if part == "lag" and not base.hold:
             bases.append(held)
@@ -138,7 +139,7 @@ def search_linear_part(search: PartSearch, linear, guess=None):
 
 
 def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
-    """Keep only the lag or only the delay if both together fit hardly better."""
+    """Keep only the lag or only the delay unless both together fit clearly better."""
     others = [part for part in kept if part not in ("lag", "delay")]
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
@@ -154,7 +155,7 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
 
 
 def _less_certain(found: PartTrial, both: PartTrial) -> PartTrial:
-    """Return a trial of lag or delay alone; its deviations include the differences from a trial with both."""
+    """Return a trial of lag or delay alone, with deviations that include the difference from the trial with both."""
     deviations = dict(found.deviations or {})
     for name in ("lag", "delay"):
         if name in deviations and name in both.values:
@@ -188,7 +189,7 @@ class PartSearch:
         self.solve, self.data, self.extra, self.progress, self.slopes = solve, data, extra, progress, slopes
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
         longest = LONGEST_LAG * max(half_cycle, _slow_half_cycle(data))
-        #: For each part the name of its parameter, initial value, and ends of the range.
+        #: For each part: name of its parameter, initial value, lower and upper limit.
         self.ranges = {
             "lag": ("lag", FIRST_LAG * half_cycle, 0.0, longest),
             "delay": ("delay", FIRST_DELAY * half_cycle, 0.0, longest),
@@ -197,7 +198,7 @@ class PartSearch:
         self.calls = 0
 
     def run(self, parts, start: dict, base: LinearPart) -> PartTrial:
-        """Return the best values of the shape and of the given parts, searched from the initial values in ``start``."""
+        """Return the best values of the shape and of the given parts; ``start`` contains initial values."""
         from scipy.optimize import least_squares  # imported here because only fits need it
 
         table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
@@ -241,7 +242,7 @@ class PartSearch:
         return PartTrial(values, found.fun * self.data.stroke, deviations, found.status > 0)
 
     def at_ends(self, parts, values: dict):
-        """Yield a warning for each number that lies at an end of its range."""
+        """Yield a warning for each parameter that lies at an end of its range."""
         for name, _, low, high in [*self.extra, *(self.ranges[part] for part in parts)]:
             if min(values[name] - low, high - values[name]) < AT_END * (high - low) and name != "delay":
                 yield (
@@ -258,7 +259,7 @@ def _slow_half_cycle(data: Condensed) -> float:
 
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
-    """Split fitted values: return the linear part with its values set, and the remaining (shape) values."""
+    """Split fitted values: return the linear part with its values, and the remaining values (of the shape)."""
     own: dict[str, Any] = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
@@ -346,9 +347,9 @@ def robust_fit(
     """Return the fit without outliers, and the fitted structure.
 
     ``choose(data)`` finds a structure on blocks of the recording. ``again(before, data, settled)`` fits the same
-    structure without the outliers, with or without a drift as before; without ``again`` the structure is chosen again.
-    ``settled`` is true from the second repetition on, when few outliers are left: the structure of the dynamics then no
-    longer changes.
+    structure without the outliers, with a drift if the fit before has one; without ``again`` the structure is chosen
+    again. ``settled`` is true from the second repetition on, when few outliers are left; the structure of the dynamics
+    is then kept.
     """
     structure, repetitions = before, 0
     clipped = clipped_samples(np.asarray(displacement, dtype=float), np.asarray(voltage, dtype=float))
@@ -387,9 +388,9 @@ PARTS, STRETCHES_OF_A_PART = 5, 4
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
     """Return the errors [m] on held-out samples, shape (number of samples,).
 
-    A first rise from rest is never held out, because no later sample shows the same behaviour.
+    The first rise from rest is never held out, because no later sample shows the same behaviour.
     """
-    data, fit = fit.data, copy(fit)  # values common to all parts are cached in the copy, and released with it
+    data, fit = fit.data, copy(fit)  # the copy caches values common to all parts, and is then released
     places = np.arange((data.erased or data.first) - data.first, len(data.kept))
     errors = np.zeros(len(data.kept))
     for part in _parts(places, stretches):
@@ -401,9 +402,9 @@ def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
 
 
 def judged_again(fit, before):
-    """Return a fit with the numbers of the earlier fit, and with its own held-out error.
+    """Return a fit with the figures of the earlier fit, but with its own held-out error.
 
-    The held-out error is computed again if more samples are outliers now, or the dynamics have changed.
+    The held-out error is computed again if there are more outliers than before, or if the modes have changed.
     """
     fit.numbers = {**before.numbers, **fit.numbers}
     fewer = np.count_nonzero(~fit.data.kept) > np.count_nonzero(~before.data.kept)
@@ -419,7 +420,7 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
 
 
 def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Threshold] = (STRUCTURE,)):
-    """Return the chosen fit, and the RMS errors of all fits on held-out parts [m]."""
+    """Return the chosen fit, and the RMS error [m] of each fit on held-out parts."""
     chosen, least, sizes = fits[0], None, []
     rows = list(thresholds) * (len(fits) if len(thresholds) == 1 else 1)
     for fit, threshold in zip(fits, rows, strict=True):
@@ -437,7 +438,7 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Th
 
 
 def invalid(fit) -> HysteresisError | None:
-    """Return why the parameters of a fit are not a valid model; None if they are valid."""
+    """Return the reason why the parameters of a fit are not a valid model; None if they are valid."""
     try:
         hysteresis_block(fit.parameters(), fit.data.sample_time)
     except (IdentificationError, ParameterError) as error:
@@ -446,7 +447,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters form a valid model; if no fit does, raise the error of the first fit."""
+    """Return the fits whose parameters are a valid model; if no fit is valid, raise the error of the first fit."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])

@@ -24,10 +24,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-#: Initial damping, and damping at which the search ends, relative to the diagonal of the normal matrix.
+#: Initial damping, and damping above which the search ends, relative to the diagonal of the normal matrix.
 DAMPING, MOST_DAMPING = 1e-3, 1e8
 #: Computing a normal matrix takes far more time than evaluating a trial point. Each step therefore tries several
-#: dampings, from EASED times the last damping upwards in factors of RAISED, and uses the best.
+#: dampings and uses the best: EASED times the last damping, then larger ones by factors of RAISED.
 EASED, RAISED = 0.02, 4.0
 LEAST_DAMPING = 1e-10
 

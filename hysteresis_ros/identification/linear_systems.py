@@ -15,8 +15,8 @@ slowly sampled monitor signal) or band-limited (a multisine below the Nyquist fr
 *Linear part* of a Hammerstein model (:class:`LinearPart`): creep, a first-order lag, modes, and a delay. The
 displacement is assumed linear between samples, so lags shorter than a sample can be distinguished; dynamics that were
 identified for a held voltage (``hold``) are simulated exactly for a held voltage. The filters process all columns of
-regressors together (:func:`filtered`), by recursion over the samples. This takes a fifth of the time of a convolution
-by FFT, because one sample of all columns stays in the cache, and makes joint fits of hysteresis and dynamics fast.
+regressors together (:func:`filtered`), by recursion over the samples. This makes joint fits of hysteresis and dynamics
+fast: it takes a fifth of the time of a convolution by FFT, because one sample of all columns stays in the cache.
 :func:`undo` inverts the linear part.
 """
 
@@ -51,7 +51,7 @@ class Section(NamedTuple):
 
 
 def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
-    """Return, for each column, the sum of the outputs of all sections, which start at rest; shape (N, m)."""
+    """Return the sum of the outputs of all sections, which start at rest, for each column; shape (N, m)."""
     columns = np.ascontiguousarray(columns, dtype=float)
     direct = sum(section.b0 for section in sections)
     recursive = [section for section in sections if any(section[1:])]
@@ -106,8 +106,8 @@ class Mode:
 
     frequency: float  #: Natural frequency ω/2π [Hz], undamped.
     damping: float  #: Damping ratio ζ; below 1 for a pair, 1 for a real pole, negative if unstable.
-    #: position, velocity: Numerator in a sum; ``position`` is the fraction of the static displacement that passes
-    #: through the mode.
+    #: position, velocity: Numerator coefficients, if the mode is a term of a sum; ``position`` is the fraction of the
+    #: static displacement that passes through the mode.
     position: float = 1.0
     velocity: float = 0.0
 
@@ -126,8 +126,8 @@ class Mode:
 def propagate(A, inputs, initial=None) -> np.ndarray:
     """Return the states of ``x_(k+1) = A x_k + w_k``.
 
-    The recursion runs in the Schur form of A, as one first-order filter per state. For poles close to one another or to
-    the unit circle this is as accurate as the plain recursion, but it needs no loop over the samples.
+    The recursion runs in the Schur form of A, as one first-order filter per state. This is as accurate as the plain
+    recursion, also for poles close to one another or to the unit circle, but needs no loop over the samples.
     """
     return _run(A, inputs, initial)[:-1]
 
@@ -167,7 +167,7 @@ class LinearModel(StateSpace):
         n, m = self.order, self.D.shape[1]
         if self.D.shape[0] != m:
             return np.empty(0, dtype=complex)
-        # scaled, so that the test for finite zeros does not depend on the units
+        # scaled so that the test for finite zeros does not depend on the units
         b, c = np.linalg.norm(self.B) or 1.0, np.linalg.norm(self.C) or 1.0
         pencil = np.block([[self.A, self.B / b], [self.C / c, self.D / (b * c)]])
         shift = scipy.linalg.block_diag(np.eye(n), np.zeros((m, m)))
@@ -178,12 +178,12 @@ class LinearModel(StateSpace):
 
     @property
     def minimum_phase(self) -> bool:
-        """Whether all zeros are inside the unit circle, so that the inverse is stable."""
+        """Whether all zeros are inside the unit circle, that is, the inverse is stable."""
         return bool(np.all(np.abs(self.zeros) < 1.0 - BOUNDARY))
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Natural frequencies and damping ratios of the poles, slowest first; a pole pair has one entry."""
+        """Natural frequencies and damping ratios of the poles, lowest frequency first; a pole pair has one entry."""
         poles = self.poles
         poles = poles[(poles.imag >= 0.0) & (np.abs(poles) > 1e-12)]
         s = np.log(poles.astype(complex)) / self.sample_time
@@ -252,9 +252,8 @@ METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
 #: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
 MARGIN = 64
-#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window.
-#: CLOSE has the highest accuracy up to a quarter of the sample rate; SHARP is for inputs up to nearly half of the
-#: sample rate.
+#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window. CLOSE is
+#: the more accurate one up to a quarter of the sample rate; SHARP is for inputs up to nearly half the sample rate.
 CLOSE, SHARP = (10, 12.0), (32, 8.0)
 
 
@@ -289,7 +288,7 @@ def upsample(
 
 
 def find_period(u, tolerance: float = 1e-6) -> int | None:
-    """Return the number of samples after which the input repeats itself; None if it is not periodic.
+    """Return the number of samples after which the input repeats; None if it is not periodic.
 
     The input must contain at least two whole periods.
     """
@@ -310,7 +309,7 @@ def find_period(u, tolerance: float = 1e-6) -> int | None:
 
 #: Known initial states of a simulation.
 KNOWN_STARTS = ("zero", "rest", "periodic")
-#: Points per sample of a reconstructed band-limited input.
+#: Number of points per sample to which a band-limited input is interpolated.
 BANDLIMITED_POINTS = 8
 
 
@@ -318,7 +317,7 @@ class CanonicalSimulation:
     """The responses of ``sⁱ/denominator`` to an input; the response for any numerator is a linear combination of them.
 
     The states of the controllable form are these responses. Time is scaled with the geometric mean of the poles, so
-    that the matrix is well conditioned for a mirror of 2 kHz as well as for creep over an hour.
+    that the matrix is well conditioned both for a mirror of 2 kHz and for creep over an hour.
 
     Units: ``sample_time`` [s].
     """
@@ -430,7 +429,7 @@ def simulate_transfer_function(
 
 #: Smallest lag, as a fraction of the sample time; smaller lags are neglected.
 SHORTEST_LAG = 0.02
-#: Smaller creep rates than this are neglected.
+#: Smallest creep rate; smaller rates are neglected.
 SMALLEST_RATE = 1e-5
 #: Number of modes whose filter sections are cached.
 RESPONSES = 16
@@ -444,12 +443,12 @@ class LinearPart:
     delay: float = 0.0  #: Dead time [s].
     creep_rate: float = 0.0  #: γ of the logarithmic law, per decade.
     longest_time: float = 100.0  #: Time [s] up to which the creep law holds.
-    #: True: creep had settled at the first sample; false: the system was at rest at zero before it.
+    #: True: creep has settled at the first sample; false: the system was at rest at zero before the first sample.
     settled: bool = False
     modes: tuple[Mode, ...] = ()  #: Modes; the remaining displacement passes through the lag.
-    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then do not include the
-    #: delay of the hold. 0: the input was assumed linear between the samples, and the delay includes the half-sample
-    #: delay of the hold.
+    #: Sample time [s] of the held voltage for which lag, modes and delay were identified; they do not include the delay
+    #: of the hold. 0: the input was assumed linear between the samples, so the delay includes the half-sample delay of
+    #: the hold.
     hold: float = 0.0
 
     @property
@@ -477,7 +476,7 @@ class LinearPart:
         return self.behind_creep(self.crept(columns, sample_time), columns, sample_time)
 
     def crept(self, columns, sample_time: float) -> np.ndarray:
-        """Return the columns filtered by creep alone, shape (N, m); ``settled``: their changes from the first row."""
+        """Return the columns filtered by creep alone, shape (N, m); with ``settled``, relative to the first row."""
         table = _table(columns)
         moved = table - table[:1] if self.settled else table
         if self.creep_rate < SMALLEST_RATE:
@@ -485,7 +484,7 @@ class LinearPart:
         return filtered(moved, _creep_sections(self.creep, sample_time))
 
     def behind_creep(self, crept, columns, sample_time: float) -> np.ndarray:
-        """Return the response to ``columns``, in their shape; ``crept`` is their response to creep alone."""
+        """Return the response to ``columns``, with the same shape; ``crept`` is their response to creep alone."""
         columns = np.asarray(columns, dtype=float)
         held = bool(self.hold) and abs(self.hold - sample_time) < 1e-6 * sample_time
         sections, late = _held_stage(self, sample_time) if held else _linear_stage(self, sample_time)
@@ -503,7 +502,7 @@ class LinearPart:
         return self.delay + direct * self.lag + float(np.sum(np.array(late) / omega))
 
     def synchronous(self, sample_time: float) -> bool:
-        """Return whether each displacement already responds to the voltage of the same sample.
+        """Return whether each displacement responds to the voltage of the same sample.
 
         Units: ``sample_time`` [s].
         """
@@ -537,8 +536,8 @@ class LinearPart:
     def dynamics(self, sample_time: float) -> LinearParameters:
         """Return lag, modes and delay as the discrete block of a node; the input of this block is held between samples.
 
-        Holding the input adds a delay. It is subtracted from the dead time and, if that is too short, the rest from the
-        lag, so that the delay of slow movement does not change.
+        Holding the input adds a delay. This delay is subtracted from the dead time and, if the dead time is too short,
+        from the lag too, so that the total delay of slow movement does not change.
 
         Units: ``sample_time`` [s].
         """
@@ -573,7 +572,7 @@ class LinearPart:
         return replace(self, lag=float(lag), delay=float(delay), hold=float(sample_time))
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay without the effect of holding; a held lag delays by T/(1 - e^(-T/τ)) instead of τ."""
+        """Return lag and delay without the effect of the hold; a held lag delays by T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -600,7 +599,7 @@ class LinearPart:
 
 @lru_cache(maxsize=16)
 def _creep_sections(creep: CreepParameters, sample_time: float) -> tuple[Section, ...]:
-    """Return the operators of a creep law and its direct part; cached, as a search uses the same law many times."""
+    """Return direct part and operators of a creep law; cached, because a search uses the same law many times."""
     feedthrough, weights, time_constants = creep.resolved()
     sections = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
     return Section(feedthrough), *sections
@@ -613,7 +612,7 @@ def _table(columns) -> np.ndarray:
 
 
 def _delayed(columns, samples: float) -> np.ndarray:
-    """Return the columns, shape (N, m), delayed with linear interpolation, and zero before their first sample."""
+    """Return the columns, shape (N, m), delayed by linear interpolation; they are zero before their first sample."""
     whole = int(samples + 1e-9)
     part = max(samples - whole, 0.0)
     if not whole and part < 1e-9:
@@ -694,7 +693,7 @@ class Known(NamedTuple):
     """A linear part that is already known when a hysteresis is fitted."""
 
     part: LinearPart
-    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are nevertheless searched.
+    parts: tuple[str, ...] = ()  #: Lag, delay or creep that are searched nevertheless.
 
 
 def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParameters:
@@ -750,7 +749,7 @@ def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
 
 
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), that creep turns into ``y``, sample by sample as in the compensator.
+    """Return the displacement [m], shape (N,), that becomes ``y`` by creep, sample by sample as in the compensator.
 
     Units: ``sample_time`` [s].
     """

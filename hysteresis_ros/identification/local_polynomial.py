@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Response matrix from inputs that do not repeat, by the local polynomial method, with the covariance of the noise.
+"""Response matrix and noise covariance from inputs that do not repeat, by the local polynomial method.
 
 Around each line k, the response and the transient are smooth in frequency; the spectra of inputs and noise are not.
 Over the lines k + r, |r| ≤ n, the model
@@ -38,7 +38,8 @@ from hysteresis_ros.identification.frequency_response import (
     ResponseMatrix,
 )
 
-#: Degree of the polynomials, and default excess of the covariance's degrees of freedom over the number of outputs.
+#: Degree of the polynomials. By default, the degrees of freedom of the covariance exceed the number of outputs by
+#: FREEDOM.
 DEGREE, FREEDOM = 2, 10
 #: Number of frequency lines whose equations are solved together.
 CHUNK = 512
@@ -121,7 +122,7 @@ def local_polynomial_response(
 
 
 def _half_width(shape: tuple[int, int, int], degree: int, q: int, free: int) -> int:
-    """Return the number of lines of the window on each side, so that ``free`` degrees of freedom remain."""
+    """Return the number of lines on each side of the window that leaves ``free`` degrees of freedom."""
     experiments, N, m = shape
     if degree < 0 or degree % 2:
         raise IdentificationError(f"degree = {degree}: must be an even number ≥ 0")
@@ -156,11 +157,11 @@ def _excited(U: np.ndarray, frequency: np.ndarray, window: int, band) -> np.ndar
 def _fit_lines(U, Y, lines: np.ndarray, half: int, degree: int, frequency: np.ndarray):
     """Fit the polynomials around the given lines.
 
-    Return response, covariance of the output, variances of the response for unit covariance, and condition numbers,
-    each with one row per line; and the degrees of freedom.
+    Return response, covariance of the output, variances of the response for unit covariance, condition numbers (each
+    with one row per line), and the degrees of freedom.
     """
     experiments, m, q, window = U.shape[1], U.shape[2], Y.shape[2], 2 * half + 1
-    # near the ends of the band, the window is not centred at the line
+    # near the ends of the band, the window is not centred on the line
     first = np.clip(lines - half, 0, len(U) - window)
     places = first[:, None] + np.arange(window)
     r = (places - lines[:, None]) / half

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Frequency response → matrix-fraction description → state space of lowest order (K4), without iteration.
+"""State space of lowest order from a frequency response, by a matrix fraction, without iteration (K4).
 
-The left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is linear in its
-coefficients after multiplication by Q. A single linear least-squares solution therefore fits the coefficients to all
-lines together. The degree is higher than necessary, so the realisation has pole-zero pairs that nearly cancel;
-truncation of the balanced realisation removes these pairs within a tolerance.
+The equation of the left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is
+linear in the coefficients after multiplication by Q. A single linear least-squares solution therefore fits the
+coefficients to all lines together. The degree is higher than necessary, so the realisation has pole-zero pairs that
+nearly cancel; truncation of the balanced realisation removes them.
 
 References
 ----------
@@ -81,10 +81,10 @@ class MatrixFractionFit:
     #: the variance is unknown, relative to rms |G|.
     misfit: np.ndarray
     fraction: MatrixFraction  #: The full fit.
-    #: Unstable poles of the full fit, usually caused by noise, that were removed; the misfit includes the error of
-    #: their removal.
+    #: Unstable poles of the full fit, usually caused by noise, that were removed; the misfit includes the effect of the
+    #: removal.
     dropped: tuple[complex, ...]
-    warnings: tuple[str, ...]  #: Non-minimum-phase fit, large misfit, order at its bound …
+    warnings: tuple[str, ...]  #: Non-minimum-phase fit, large misfit, order at its bound and others.
 
 
 def fit_matrix_fraction(
@@ -98,7 +98,7 @@ def fit_matrix_fraction(
     unknowns = degree * ny + (degree + bool(feedthrough)) * nu
     what = f"a matrix fraction of degree {degree} (the real and imaginary parts of the response count as samples)"
     refuse_short(2 * F * nu, unknowns, what)
-    # scaled, so that the units do not affect the rank
+    # scaled so that the units do not affect the rank
     scale = np.sqrt(np.mean(np.abs(G) ** 2))
     G = G / scale
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
@@ -186,7 +186,7 @@ class _Candidate(NamedTuple):
 
 
 def _misfit_with(order: int) -> Callable[[_Candidate], float]:
-    """Return the function that computes the misfit of a candidate with a model of a given order."""
+    """Return the function that computes the misfit of a candidate with its model of a given order."""
     return lambda candidate: candidate.misfits[order - 1]
 
 
@@ -224,7 +224,7 @@ def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
-    """Return the degrees to try: noise biases a fit of low degree, and adds poles to a fit of high degree."""
+    """Return the degrees to try, because noise biases a fit of low degree and adds poles to a fit of high degree."""
     if degree is not None:
         return [degree]
     F, ny, nu = shape
@@ -247,7 +247,7 @@ def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
 
 
 def _separated(model, radius):
-    def inside(real, imaginary=0.0):  # named arguments, because SciPy inspects the signature
+    def inside(real, imaginary=0.0):  # named arguments, because SciPy inspects the signature of this function
         return abs(real + 1j * imaginary) < radius
 
     A, basis, count = scipy.linalg.schur(model.A, output="real", sort=inside)
@@ -304,7 +304,7 @@ def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, fee
 
 
 def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
-    """Return the rms misfit of a model over the lines; None stands for the zero model."""
+    """Return the rms misfit of a model over the lines; None: a model with zero response."""
     predicted = 0.0 if model is None else model.frequency_response(data.frequency)
     scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
     return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))

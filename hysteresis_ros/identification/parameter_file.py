@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""ROS 2 parameter files of identified models: nodes use these files unchanged, and the origin of the numbers is stated.
+"""ROS 2 parameter files of identified models, which nodes load unchanged and which state the origin of their numbers.
 
-Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` does not name a
+Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` belongs to no
 node, so ROS ignores it; it contains source, figures, assumptions and warnings.
 """
 
@@ -49,7 +49,7 @@ from hysteresis_ros.units import figure_name
 
 #: Section that no node reads.
 SECTION = "/identification"
-#: Name of a figure: by how much the gain of loops over a tenth of the range may exceed the model's gain [%].
+#: Name of a figure: largest possible excess of the gain of loops over a tenth of the range over the model's gain [%].
 SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
 #: Sample rate [Hz] and highest voltage [V] of the example axis for a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
@@ -67,7 +67,7 @@ def limits_of(chain: PlantModel) -> tuple[float, float]:
 
 
 def block_mapping(parameters: Parameters, prefix: str) -> dict:
-    """Return the flat parameters of a block without unused variants and empty arrays."""
+    """Return the flat parameters of a block, without unused variants and empty arrays."""
     kind = getattr(parameters, "type", None)
     values = {}
     variants = {row.name.split(".")[0] for row in type(parameters).table() if "." in row.name}
@@ -98,7 +98,7 @@ def sections(result: Identification) -> dict[str, dict]:
     lowest, highest = _reach(chain, low, high)
     stroke = highest - lowest
     commands = {"command_minimum": min(lowest - stroke, 0.0), "command_maximum": max(highest + stroke, 0.0)}
-    # a remanent actuator is not at zero at 0 V: the reference starts at the actuator's position
+    # a remanent actuator is not at zero at 0 V, so the reference starts at the actuator's position
     start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
@@ -110,7 +110,7 @@ def sections(result: Identification) -> dict[str, dict]:
 
 
 def rate_of(sample_time: float) -> float:
-    """Return the sample rate [Hz], rounded to 9 digits, because time stamps in whole nanoseconds are not more accurate.
+    """Return the sample rate [Hz] rounded to 9 digits, the accuracy of time stamps in whole nanoseconds.
 
     Units: ``sample_time`` [s].
     """
@@ -124,7 +124,7 @@ def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
         return (-reach if low < 0.0 else 0.0), reach
     ends = [at_rest(chain.hysteresis, chain.sample_time)]
     for end in (low, high):
-        # from rest in fine steps, because some models are integrated along the path
+        # from rest in small steps, because some models are integrated along the path
         ends.append(
             float(hysteresis_block(chain.hysteresis, chain.sample_time).simulate(np.linspace(0.0, end, 257))[-1])
         )
@@ -205,7 +205,7 @@ USUAL_UNITS = ("V", "m")
 
 
 def _other_units(units: tuple[str, str]) -> str:
-    """Return a sentence that states what V and m mean in the file of another kind of actuator."""
+    """Return a sentence that states which units V and m stand for, if the recording has other units."""
     meant = [f"{there} stands for {own}" for there, own in zip(USUAL_UNITS, units, strict=True) if there != own]
     return f"the parameters, their descriptions and the nodes use V and m: here {' and '.join(meant)}"
 
@@ -216,7 +216,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
     Units: ``excited`` [V/s].
     """
     nodes = {**sections(result), SECTION: section}
-    # copy every array: YAML would write the second reference to an array as an alias, which ROS cannot read
+    # copy every array, because YAML would write its second occurrence as an alias, which ROS cannot read
     copied = {
         node: {name: tuple(value) if isinstance(value, tuple) else value for name, value in values.items()}
         for node, values in nodes.items()
@@ -280,7 +280,7 @@ def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
 
 
 def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
-    """Return the plant of a parameter file or configuration, and its section ``/identification``."""
+    """Return the plant of a parameter file or configuration, and the section ``/identification``."""
     configuration = source if isinstance(source, Configuration) else load_configuration(source)
     path = configuration.source if isinstance(source, Configuration) else source
     configuration.require_independent()
@@ -302,7 +302,7 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
 
 
 def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters, sample_time: float) -> PlantModel:
-    """Return the model of a plant, with what an identification has written about the recording and the fit."""
+    """Return the model of a plant, with the facts about recording and fit that an identification has written."""
     saturation: Any = section.get("saturation")
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
@@ -326,7 +326,7 @@ def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters,
 
 
 def _units(section: dict) -> tuple[str, str]:
-    """Return the units of input and output, if an identification has written their names."""
+    """Return the units of input and output that an identification has written."""
     found = [re.search(r"\[([^\[\]]+)\]$", str(section.get(role, ""))) for role in ("input", "output")]
     given = [match[1] if match else usual for match, usual in zip(found, USUAL_UNITS, strict=True)]
     return given[0], given[1]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The identified plant (a chain of blocks that the nodes run), the request of an identification, and its result.
+"""The identified plant (a chain of blocks that the nodes run), and the request and the result of an identification.
 
 voltage → hysteresis → creep → linear dynamics → + offset.
 """
@@ -44,8 +44,8 @@ class Request:
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
-    #: Earlier results of :func:`.separation.separated` for this data, keyed by the arguments of that function; and
-    #: lists of earlier fits of plays and densities, keyed by :meth:`.separation.Start.past`.
+    #: Cache of results for this data: of :func:`.separation.separated`, by its arguments; and lists of fits of plays
+    #: and densities, by :meth:`.separation.Start.past`.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:
@@ -73,14 +73,14 @@ class PlantModel:
     dynamics: LinearParameters  #: Linear dynamics at ``sample_time``.
     sample_time: float  #: [s]
     offset: float = 0.0  #: Constant part of the displacement [m]; a plant contains it as preload offset.
-    #: Creep, lag and delay in continuous time, if these are all the dynamics.
+    #: Creep, lag, delay and modes in continuous time, if the dynamics consist of these.
     linear_part: LinearPart | None = None
     #: Numerator and denominator of the dynamics, if they were identified in continuous time.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    #: Whether each displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis, in contrast,
-    #: measures before the voltage acts.
+    #: Whether each displacement responds to the voltage of the same sample (quasi-static sweeps). An axis, in contrast,
+    #: measures before the voltage of the sample acts.
     synchronous: bool = False
-    #: Identified voltage history [V] before the recording, from rest at 0 V; :meth:`simulate` begins with it.
+    #: Identified voltage history [V] before the recording, from rest at 0 V; :meth:`simulate` begins with this history.
     history: tuple[float, ...] = ()
     initial: str = "zero"  #: Initial state: ``zero``, ``periodic`` or ``estimate``.
     intersample: str = "zoh"  #: Input between samples: ``zoh``, ``linear`` or ``bandlimited``.
@@ -100,10 +100,10 @@ class PlantModel:
 
     @property
     def continuous(self) -> LinearPart:
-        """Creep, lag and delay; other dynamics are replaced by a lag with the same group delay at low frequencies."""
+        """Creep, lag, delay and modes; a lag with the same low-frequency group delay replaces other dynamics."""
         if self.linear_part is not None:
             return self.linear_part
-        # half of the sample time is the delay of the converter; a recorded voltage does not contain this delay
+        # half of the sample time is the delay of the hold; a recorded voltage does not contain this delay
         delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
         return LinearPart(lag=max(delay, 0.0))
 
@@ -161,7 +161,7 @@ class IdentifiedModel(Protocol):
         ...
 
     def score(self, data) -> Any:
-        """Return the comparison of a prediction with a recording: errors, tests of the residual, inverse."""
+        """Compare a prediction with a recording: errors, tests of the residual, inverse."""
         ...
 
     def to_axis(self) -> Configuration:
@@ -186,7 +186,7 @@ class Procedure(Protocol):
         ...
 
 
-#: Number of points of each voltage ramp before the recording.
+#: Number of points per voltage ramp of the history before the recording.
 FINE = 65
 
 
@@ -239,7 +239,7 @@ def group_delay(dynamics: LinearParameters) -> float:
 
 
 def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
-    """Return the displacement [m] of a hysteresis whose voltage has always been 0 V.
+    """Return the displacement [m] of a hysteresis at rest at 0 V.
 
     Units: ``sample_time`` [s].
     """
@@ -247,7 +247,7 @@ def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
 
 
 def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
-    """Return the hysteresis, shifted so that it is zero at rest at 0 V, and the removed constant [m].
+    """Return the hysteresis shifted to be zero at rest at 0 V, and the removed constant [m].
 
     References are then relative to the rest position, because the hysteresis no longer contains the sensor's constant.
 
@@ -278,7 +278,7 @@ def chain_of(
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
         sample_time=data.sample_time,
-        # the plant starts with settled creep, but within a recording creep never settles
+        # the plant starts with settled creep, but during a recording creep does not settle
         offset=offset,
         linear_part=part,
         synchronous=bool(synchronous),
@@ -324,7 +324,7 @@ def identified(
 ) -> Identification:
     """Return the result of an identification; its linear part is also described as figures and text.
 
-    If the input is held between the samples, lag and delay do not include the delay of the hold.
+    For an input that is held between the samples, lag and delay do not include the delay of the hold.
     """
     if request.intersample == "zoh" and not synchronous:
         part = part.held(data.sample_time)
