@@ -11,13 +11,12 @@
 
 A model defines the columns of its plays for a given shape (:meth:`PlayFit.columns`), the shape parameters to search
 (:attr:`PlayFit.extra`), and the parameters of the block for given weights (:meth:`PlayFit.parameters`). The parameters
-of the linear part and of the shape are searched; for each trial the weights ≥ 0 and the constants follow by linear
-least squares.
+of the linear part and of the shape are searched; for each trial, linear least squares gives the weights ≥ 0 and the
+constants.
 
-The weights, as a function of the radius, are as smooth as the data allows. A recording of one large loop determines
-every weight of a classical Prandtl-Ishlinskii model, but noise and small model errors make neighbouring weights
-alternate, and such weights cause errors in minor loops. The roughness (second difference) of the weights is therefore
-penalised as strongly as the residual permits.
+A recording of one large loop determines every weight of a classical Prandtl-Ishlinskii model, but noise and small model
+errors make neighbouring weights alternate, which causes errors in minor loops. The roughness of the weights (second
+difference over the radius) is therefore penalised as strongly as the residual permits.
 
 References
 ----------
@@ -43,10 +42,9 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters
 #: Weight of the smoothness penalty during the search of the linear part and the shape.
 SEARCH_STRENGTH = 1e-2
 
-#: Small numbers to add to the diagonal of the normal equations of columns of unit length; the first that suffices is
-#: used.
+#: Numbers added to the diagonal of the normal equations (columns of unit length); the first that suffices is used.
 GRAM_FLOORS = (1e-13, 1e-12, 1e-11, 1e-10)
-#: Tried weights of the smoothness penalty, from nearly zero to a value that makes the weights almost linear.
+#: Tried weights of the smoothness penalty, from almost no effect to almost linear weights.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
@@ -54,27 +52,27 @@ class Crept(NamedTuple):
     """Response of columns to creep."""
 
     case: tuple[float, bool]  #: Longest time of the creep [s], and whether it had settled at the first sample.
-    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until it is needed a second time.
+    still: np.ndarray | None = None  #: shape (N, m); Response without creep; None until needed a second time.
     growth: np.ndarray | None = None  #: shape (N, m); Additional response for a creep rate of 1.
 
 
 class PlayFit(ABC):
     """A model of plays, fitted to one set of data."""
 
-    #: Searched parameters of the shape: name, initial value, and ends of the range.
+    #: Searched parameters of the shape: name, initial value, lower and upper limit.
     extra: tuple[tuple[str, float, float, float], ...] = ()
-    #: Rows of differences of neighbouring weights that are penalised.
+    #: Matrix of differences of neighbouring weights; these differences are penalised.
     roughness: np.ndarray
 
     def __init__(self, data: Condensed):
         self.data = data
         self.numbers: dict[str, float] = {}
-        #: Values from which a search starts, by name.
+        #: Initial values of a search, by name.
         self.guess: dict[str, float] = {}
         #: Shape and columns of the last trial, and their response to creep.
         self.kept_columns: tuple[dict[str, float], np.ndarray] | None = None
         self.crept: Crept | None = None
-        #: Linear part, shape and filtered columns of the finished fit, kept while held-out samples are predicted.
+        #: Linear part, shape and filtered columns of the finished fit; set only while held-out samples are predicted.
         self.reply: tuple[LinearPart, dict[str, float], np.ndarray] | None = None
         #: Least-squares solver of the last trial of a search.
         self.solver: WeightSolver | None = None
@@ -106,13 +104,13 @@ class PlayFit(ABC):
         return self.residual
 
     def slopes(self, part, shape, neighbours) -> np.ndarray:
-        """Return the changes of the residual of :meth:`solve` from the last trial to k neighbours, shape (N, k).
+        """Return the changes of the residual of :meth:`solve`, from the last trial to k neighbours, shape (N, k).
 
         Each neighbour is a pair (linear part, shape parameters).
 
         The weights are solved again for each neighbour (variable projection [1]_). For a change dΦ of the filtered
-        columns Φ this requires only dΦ w and dΦᵀ e, with the weights w and the residual e. Each is obtained by
-        filtering a single signal: the weighted sum of the columns, or the residual backwards in time.
+        columns Φ this requires only dΦ w and dΦᵀ e, with the weights w and the residual e. Filtering a single signal
+        gives each of them: the weighted sum of the columns for dΦ w, the residual, backwards in time, for dΦᵀ e.
         """
         if self.solver is None:
             raise RuntimeError("there is no solved trial")
@@ -136,14 +134,14 @@ class PlayFit(ABC):
         return self.solver.followed(data.counted(moved), leaning, self.weights, SEARCH_STRENGTH)
 
     def summed(self, shape) -> np.ndarray:
-        """Return the sum of the columns for a shape, each times its present weight, shape (N,)."""
+        """Return the sum of the columns for a shape, multiplied by the present weights, shape (N,)."""
         kept = self.kept_columns
         return (kept[1] if kept is not None and kept[0] == shape else self.columns(shape)) @ self.weights
 
     def solve_weights(self, part, shape, strength: float | None = None) -> np.ndarray:
         """Solve for the weights and return the residual [m].
 
-        ``strength`` is the penalty on rough weights; None: as large as the residual allows.
+        ``strength`` is the weight of the smoothness penalty; None: as large as the residual allows.
         """
         data = self.data
         known = self.reply is not None and self.reply[:2] == (part, shape)
@@ -158,7 +156,7 @@ class PlayFit(ABC):
         """Return the columns filtered by the linear part, shape (N, m).
 
         Creep takes most of the time, and its response is linear in the creep rate. If the same shape is used again, for
-        example in a search of the linear part alone, the response for a rate of 1 is kept until the shape changes.
+        example in a search of the linear part alone, the response for a rate of 1 is cached until the shape changes.
         """
         step = self.data.sample_time
         if self.kept_columns is None or self.kept_columns[0] != shape:
@@ -188,7 +186,7 @@ class PlayFit(ABC):
         return self._finish(search, search.run(self.kept, before.found.values, self.base))
 
     def behind(self, part):
-        """Compute the weights for the initial shape and a known linear part."""
+        """Compute only the weights, for the initial shape and a known linear part."""
         self.part, self.shape = part, {name: start for name, start, *_ in self.extra}
         self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
         return self
@@ -228,7 +226,7 @@ def _backwards(part, error, sample_time: float) -> np.ndarray:
 
 
 def _leaning(part, columns, error, back) -> np.ndarray:
-    """Return the products of filtered columns and an error, shape (m,); ``back``: the error filtered backwards."""
+    """Return the products of the filtered columns with an error, shape (m,); ``back``: the error filtered backwards."""
     found = columns.T @ back
     return found + columns[0] * (part.settled_gain * error.sum() - back.sum()) if part.settled else found
 
@@ -252,7 +250,7 @@ def differences(part, shape, neighbours, summed, sample_time: float) -> np.ndarr
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V] from 0, in steps of half the range divided by ``count``.
 
-    A play whose radius is half the range never moves; it is omitted, unless the path from rest moves it.
+    A play with a radius of half the range or more never moves; it is omitted, unless the path from rest moves it.
     """
     step = 0.5 * voltage_range / count
     return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
@@ -274,7 +272,7 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
 def cholesky_factor(gram) -> np.ndarray:
     """Return the Cholesky factor of a Gram matrix of columns of unit length; columns may be equal.
 
-    The number added to the diagonal is as small as rounding errors allow, and far below any noise.
+    The number added to the diagonal is the smallest that suffices against rounding errors, far below any noise.
     """
     for floor in GRAM_FLOORS[:-1]:
         with contextlib.suppress(np.linalg.LinAlgError):
@@ -283,7 +281,7 @@ def cholesky_factor(gram) -> np.ndarray:
 
 
 class WeightSolver:
-    """Constrained least squares for several penalties; the data is compressed into the Cholesky factor R."""
+    """Constrained least squares with any penalty; the data is compressed into the Cholesky factor R."""
 
     def __init__(self, regressors, free, target, roughness, ridge=None):
         self.count = regressors.shape[1]
@@ -300,7 +298,7 @@ class WeightSolver:
         self.size = float(np.linalg.norm(self.r[:, : self.count]) / np.sqrt(self.count))
 
     def penalty(self, strength: float) -> np.ndarray:
-        """Return the rows of the penalty on rough weights."""
+        """Return the rows that penalise rough weights."""
         return strength * self.size * self.roughness
 
     def followed(self, moved, leaning, weights, strength: float) -> np.ndarray:
@@ -330,7 +328,7 @@ class WeightSolver:
         free = self.r[:, self.count :]
         penalty = np.zeros((len(self.roughness), self.table.shape[1] + free.shape[1]))
         penalty[:, : self.count] = self.penalty(strength)
-        # an unconstrained coefficient is represented as the difference of two non-negative ones
+        # an unconstrained coefficient is the difference of two non-negative ones
         pull = np.zeros((free.shape[1], penalty.shape[1]))
         pull[:, self.count :] = np.column_stack([np.diag(self.ridge), -np.diag(self.ridge)])
         table = np.vstack([np.column_stack([self.r, -free]), penalty, pull])

@@ -10,19 +10,18 @@
 """Identification of the polynomial branch model and of the preload curve (Kim, Kim & Park 2009; K2, K3).
 
 K2: triangles with growing peaks are cut into loops. The branches of each loop are fitted by parabolas, and the
-coefficients of these parabolas become quadratics of the peak voltage V_max. Two conditions make the branches
-continuous:
+coefficients of these parabolas are quadratics of the peak voltage V_max. Two conditions make the branches continuous:
 
 * both branches of a loop start at the same lower corner, D_r = D_f, and meet at the same upper corner (*per loop*);
 * the upper corners lie on the virgin curve, for every V_max (*for the quadratics*, as identities of polynomials).
 
-With these conditions nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2
-and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. For a given voltage, the output of the model is linear in
-its coefficients, even in minor loops, because the branch changes only with the voltage. The nine numbers are therefore
-fitted to all samples together by linear least squares, which works with any excitation. The paper rates a model by its
-largest error. If the residual comes from the shape of the loops and not from noise, Lawson's reweighting therefore
-increases the weights of the largest residuals. This halves the largest error for loops that do not have the shape of
-the model.
+With these conditions nine free parameters remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max² (2 more), and
+the bends C_r2 and C_f2 as linear functions of V_max (4); C_r1 and C_f1 follow. For a given voltage, the output of the
+model is linear in its coefficients, even in minor loops, because the voltage alone determines the branch. The nine
+parameters are therefore fitted to all samples together by linear least squares, with any excitation. The paper rates a
+model by its largest error. So if the residual comes from the shape of the loops and not from noise, Lawson's
+reweighting increases the weights of the largest residuals. For loops that do not have the shape of the model, this
+halves the largest error.
 
 K3, eqs 3-5: the preload curve W(L0) is fitted to displacement against preload.
 """
@@ -143,24 +142,24 @@ def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
 #: The free parameters θ of a fit, in order; the last three need peaks at several voltages.
 FREE = ("D_v", "C_v1", "C_v2", "D_1", "C_r2", "C_f2", "D_2", "C_r2 slope", "C_f2 slope")
 SINGLE_PEAK_FREE = 6
-#: Parameters that are assumed small if the recording does not determine them, and weight of this assumption.
+#: Parameters that are kept small if the recording does not determine them, and weight of this penalty.
 SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
-#: Sample points of a branch parabola for the fit of quadratics of V_max, as a fraction of V_max.
+#: Points of a branch parabola that are used in the fit of quadratics of V_max, as fractions of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-#: A rest of the first rise after an omitted beginning is left out if it is at most this fraction of the range: it would
-#: extrapolate the virgin curve over the rest of the range.
+#: The remainder of the first rise after an omitted beginning is left out too if it covers at most this fraction of the
+#: range, because the virgin curve would be extrapolated over the other part of the range.
 SHORT_RISE = 0.2
-#: Lowest allowed voltage, as a fraction of the highest voltage (negative: below 0 V); below it the model has no
-#: branches.
+#: Lowest allowed voltage, as a fraction of the highest voltage (negative: below 0 V); below this voltage the model has
+#: no branches.
 LOWEST_PART = -0.35
 #: Smallest slope of a constrained fit, as a fraction of the mean slope.
 SMALLEST_SLOPE = 0.02
-#: Number of steps of Lawson's reweighting, and fraction of the largest residual that is added to every residual when
-#: the weights are updated, so that no weight vanishes.
+#: Number of steps of Lawson's reweighting; fraction of the largest residual that is added to every residual in an
+#: update, so that no weight vanishes.
 REWEIGHTINGS = 30
 LEAST_WEIGHT = 0.15
-#: Ratio of residual to noise above which the residual is attributed to the shape of the loops.
+#: If the ratio of residual to noise is larger, the residual comes from the shape of the loops.
 STRUCTURE = 2.0
 
 _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
@@ -204,7 +203,7 @@ def _basis(count: int) -> np.ndarray:
 
 
 def _simulated(voltage, coefficients) -> np.ndarray:
-    """Return the output, shape (N,), of the model with any 21 coefficients, including unphysical ones."""
+    """Return the output, shape (N,), of the model with any 21 coefficients, even unphysical ones."""
     p = np.append(coefficients, 1.0)
     x = np.zeros(STATES)
     x[DISPLACEMENT] = x[TURN_DISPLACEMENT] = p[VIRGIN]
@@ -236,7 +235,7 @@ def _slopes(basis, v_low) -> np.ndarray:
 
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
-    """Return the θ of the quadratics of V_max that are nearest to the parabolas of the loops (K2 as in the paper)."""
+    """Return the θ whose quadratics of V_max are nearest to the parabolas of the loops (K2 as in the paper)."""
     if not loops:
         raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
     rows, wanted = [], []
@@ -256,8 +255,8 @@ def _through_loops(loops, virgin, basis) -> np.ndarray:
 
 
 def _weights(matrix, wanted, criterion):
-    """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` has selected."""
-    # the weights change 30 times: with an orthogonal basis the weighted normal equations stay well conditioned
+    """Return the square roots of the weights, shape (N,), and the criterion, as selected if it was ``automatic``."""
+    # with an orthogonal basis the weighted normal equations stay well conditioned
     u, singular, _ = np.linalg.svd(matrix, full_matrices=False)
     u = u[:, singular > 1e-10 * singular[0]]
     weight = np.ones(len(wanted))
@@ -363,7 +362,7 @@ def identify_polynomial(
 
 
 def _end_of_first_rise(path, first: int) -> int:
-    """Return the sample from which the recording counts, ``first`` or the end of a short rest of the first rise.
+    """Return the first sample that counts: ``first``, or the end of a short remainder of the first rise.
 
     Units: ``path`` [fraction of the highest voltage].
     """
@@ -453,7 +452,7 @@ class PreloadIdentification:
     parameters: PreloadParameters  #: A1, B1 and B2, and the preload in use (``force``).
     covariance: np.ndarray  #: shape (3, 3); Covariance of A1, B1 and B2.
     rms: float  #: Residual [m].
-    stiffness: float  #: -1/(B1 + 2 B2 L0) [N/m], at the middle L0 of the recorded preloads.
+    stiffness: float  #: -1/(B1 + 2 B2 L0) [N/m], with L0 in the middle of the recorded preloads.
     largest_force: float  #: Largest preload of the data [N].
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 

@@ -7,29 +7,30 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Prandtl-Ishlinskii models from data, with lag, delay and creep: smooth density, classical, and modified.
+"""Prandtl-Ishlinskii models from data, with lag, delay and creep: smooth density, classical or modified.
 
 Three structures are compared. A structure with more freedom is chosen only if it predicts held-out blocks of the
 recording better (:func:`.hammerstein.survivor`).
 
-*Smooth density* (few parameters): a reversible part (a fraction ρ of the motion) and a density that falls exponentially
-with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage). Their sum u, scaled to -1 … 1 over the
-recording, passes through a cubic map ``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2``. The map bends both branches equally,
-which plays cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares.
-Loops of a single amplitude hardly distinguish κ from the map. κ therefore keeps the value :data:`PRIOR_DECAY`, which is
-typical of piezo stacks, unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
-realised by plays and the map by dead zones, so nodes run this model like any other Prandtl-Ishlinskii model.
+*Smooth density* (few parameters): a reversible part (a fraction ρ of the motion) and plays with a density that falls
+exponentially with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage). The sum u of both, scaled to
+-1 … 1 over the recording, passes through a cubic map ``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2``. The map bends both
+branches equally, which plays cannot do. ρ, a, b and possibly κ are searched with the linear part; least squares gives
+scale and constant. Loops of a single amplitude hardly distinguish κ from the map. κ therefore keeps the value
+:data:`PRIOR_DECAY`, which is typical of piezo stacks, unless another value reduces the residual by
+:data:`.thresholds.DENSITY_DECAY`. The density is realised by plays and the map by dead zones, so nodes run this model
+like any other Prandtl-Ishlinskii model.
 
 *Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
-*Modified*: dead zones in series after the plays, which bend both branches equally. The output is then bilinear in the
-two sets of weights, which follow from a few Gauss-Newton steps; each step is a constrained linear problem.
+*Modified*: dead zones in series after the plays bend both branches equally. The output is bilinear in the weights of
+plays and dead zones. A few Gauss-Newton steps give the weights; each step is a constrained linear problem.
 
 *Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
 radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising branch and f'(v) + W((V - v)/2) on
-its falling branch. Therefore a change of W that is symmetric about V/4, together with a compensating change of f',
+its falling branch. A change of W that is symmetric about r = V/4 can therefore be compensated by a change of f' and
 cannot be observed, although it changes the gain of smaller loops. To find such changes, densities ``exp(-κ r/h)`` with
-several κ are fitted together with the identified linear part, each with its own map. All densities that fit about as
-well as the best one are possible; their differences on smaller loops are the remaining uncertainty.
+several κ are fitted with the identified linear part, each with its own map. All densities that fit about as well as the
+best one are possible; their differences on smaller loops are the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -73,11 +74,11 @@ from hysteresis_ros.units import readable
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
-#: Relative change of the residual at which the Gauss-Newton steps have converged.
+#: The Gauss-Newton steps have converged if the relative change of the residual is below this value.
 CONVERGED = 1e-5
 #: Smallest slope of the sum of all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
-#: Penalty on the slopes that dead zones add, as a ratio of RMS residual to stroke; it keeps unnecessary slopes near
+#: Penalty on the slopes that dead zones add, as a ratio of RMS residual to stroke, so that unnecessary slopes stay near
 #: zero.
 ZONE_RIDGE = 1e-3
 
@@ -128,7 +129,7 @@ class FreeWeights(PlayFit):
         return self.part.apply(x, self.data.sample_time) + self.data.constants @ self.constants
 
     def _bend(self, part, target, strength, residual, steps):
-        """Run Gauss-Newton on the weights of plays and dead zones; each step solves for both."""
+        """Run Gauss-Newton steps; each step solves for the weights of both plays and dead zones."""
         data = self.data
         x = self.plays @ self.weights
         thresholds = x.min() + np.ptp(x) * np.arange(1, self.zone_count + 1) / (self.zone_count + 1)
@@ -193,7 +194,7 @@ def _zones(x, thresholds):
 
 
 def _monotone(zone_weights, thresholds):
-    """Raise the weights of dead zones where the total slope would otherwise be too small."""
+    """Increase the weights of dead zones where the total slope would be too small."""
     result = np.array(zone_weights, dtype=float)
     for side in (np.flatnonzero(thresholds >= 0.0), np.flatnonzero(thresholds < 0.0)[::-1]):
         slope = 1.0
@@ -206,13 +207,13 @@ def _monotone(zone_weights, thresholds):
 def few_columns(table, target) -> np.ndarray:
     """Return the coefficients of two or three columns by least squares, for targets of shape (N,) or (N, k).
 
-    A QR factorisation and a small system take a fraction of the time of a singular value decomposition of all samples.
+    A QR factorisation and a small system take far less time than a singular value decomposition of all samples.
     """
     basis, triangle = np.linalg.qr(table)
     return np.linalg.lstsq(triangle, basis.T @ target, rcond=None)[0]
 
 
-#: Value of κ for data that does not determine it, and range of the search for κ.
+#: Default of κ, for data that does not determine it, and range of the search for κ.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
 #: Initial values and ranges of the other shape parameters; within these ranges the map rises everywhere.
@@ -221,7 +222,7 @@ DENSITY_SHAPE = (
     ("map_slope", 0.0, -0.7, 0.7),
     ("map_curvature", 0.0, -0.25, 0.4),
 )
-#: Number of linear pieces of the map over the recording, and smallest change of slope between two pieces.
+#: Number of straight pieces of the map over the range of the recording; smallest change of slope between two pieces.
 PIECES = 16
 TINY = 1e-9
 
@@ -241,12 +242,12 @@ class SmoothDensity:
         self.centre, self.span = 0.0, 1.0
 
     def search(self, progress, with_decay: bool = False) -> PartSearch:
-        """Return the search for the linear part and the shape, with κ if it is not given."""
+        """Return the search for the linear part and the shape, including κ if ``with_decay``."""
         shape = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if with_decay else DENSITY_SHAPE
         return PartSearch(self.solve, self.data, shape, progress, self.slopes)
 
     def fit(self, linear, progress):
-        """Search linear part and shape with κ at its default, then test whether the data determines κ."""
+        """Search the linear part and the shape with the default of κ, then test whether the data determines κ."""
         self.decay = PRIOR_DECAY
         search = self.search(progress)
         kept, base, held = search_linear_part(search, linear, self.guess)
@@ -313,14 +314,14 @@ class SmoothDensity:
         return self._map(sums, shape) - self._map(0.0, shape)
 
     def _weights(self, shape) -> np.ndarray:
-        """Return the weights of voltage and plays, for which each part moves by about its fraction of the motion."""
+        """Return weights of voltage and plays with which each part moves by about its fraction of the motion."""
         density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
         moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
         share = shape["elastic_share"]
         return np.append(share / (2.0 * self.half), (1.0 - share) * density / moving)
 
     def _played(self, shape) -> np.ndarray:
-        """Return the sum of the plays, shape (N,), which depends on κ only."""
+        """Return the sum of the plays, shape (N,), which depends only on κ."""
         decay = shape.get("decay", self.decay)
         if self.played is None or self.played[0] != decay:
             self.played = decay, self.plays @ self._weights({**shape, "elastic_share": 0.0})[1:]
@@ -438,7 +439,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
         if density == "exponential":
             return competitors[0]
         competitors.append(FreeWeights(competitors[0].data, play_count, 0).fit(linear, progress))
-    # dead zones are fitted with the best linear part found without them; if accepted, the linear part is searched again
+    # dead zones are fitted with the best linear part found without them; if they are accepted, it is searched again
     nearest = min(competitors, key=lambda fit: fit.rms)
     zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(nearest.part)
     competitors.append(zones)
@@ -459,11 +460,11 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
 #: Tried values of κ, and number of plays of each density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
-#: Number of half swings of the decaying loops on which densities are compared, and number of points of each half swing.
+#: Number of swings of the decaying loops on which densities are compared, and number of points of a swing.
 SWINGS, POINTS = 16, 40
-#: Size of the small loop, as a fraction of the range.
+#: Size of the small loop whose gain is compared, as a fraction of the range.
 SMALL = 0.1
-#: Smallest size of the recorded loops whose speed is used, as a fraction of the range.
+#: Smallest size of the recorded loops from which the speed is determined, as a fraction of the range.
 LARGE = 0.5
 EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 
@@ -482,7 +483,7 @@ class Ambiguity:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Figures for the parameter file, names with units."""
+        """Figures for the parameter file, by names with units."""
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
         return {
             "density_decay_low": self.decays[0],
@@ -508,7 +509,7 @@ class Ambiguity:
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return the deviation between the model and other densities that fit equally well; None if there are none."""
+    """Compare the model with other densities that fit equally well; return None if no density can be compared."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     if chosen.type == "preisach" and least > POOR * data.stroke:

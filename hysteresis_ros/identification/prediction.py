@@ -9,13 +9,13 @@
 
 """Predictions of an identified plant: the displacement for a voltage, and the voltage for a displacement.
 
-The chain is simulated by the kernels of the nodes, without limits and sensor. With ``zoh`` (the voltage is held, as by
-a converter) the result equals the measurement of the plant node sample by sample. ``linear`` and ``bandlimited`` assume
-a linear or band-limited input between the samples, as for a sampler with its own clock.
+The kernels of the nodes simulate the chain, without limits and sensor. With ``zoh`` (a held voltage, as from a
+converter) the result equals the measurement of the plant node sample by sample. ``linear`` and ``bandlimited`` assume a
+linear or band-limited input between the samples, as for a sampler with its own clock.
 
 The validation of the inverse computes the voltage from the measured displacement and compares it with the applied
-voltage. The lag is inverted by a smoothed derivative (offline, so later samples may be used); creep and hysteresis are
-inverted by the compensator of the nodes. The voltage errors are the errors of the model divided by its local slope.
+voltage. A smoothed derivative inverts the lag (it uses later samples, because this runs offline); the compensator of
+the nodes inverts creep and hysteresis. The voltage errors are the errors of the model divided by its local slope.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.registry import resolved
 
-#: Fraction of the voltage range of the identification by which the voltage may exceed this range on each side.
+#: The voltage may exceed the range of the identification by this fraction of the range on each side.
 VOLTAGE_MARGIN = 0.1
 
 
@@ -92,9 +92,9 @@ def recover_voltage(
 
 #: Allowed initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
-#: Sample times count as equal up to this relative difference.
+#: Largest relative difference of equal sample times.
 SAME_RATE = 1e-4
-#: Largest number of states for which free responses can be distinguished from one another.
+#: Largest number of states whose free responses can be distinguished from one another.
 MOST_FREE = 12
 
 
@@ -137,7 +137,7 @@ def predict(
 
 
 def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=None) -> np.ndarray:
-    """Return the displacement [m], shape (N,), after hysteresis and creep: the input of the dynamics.
+    """Return the output [m] of hysteresis and creep, shape (N,), which is the input of the dynamics.
 
     Without ``measured`` [m], the chain starts at rest at 0 V. Units: ``voltage`` [V], ``sample_time`` [s].
     """
@@ -154,7 +154,7 @@ def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=Non
 
 
 def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:
-    """Return the earlier voltages, before the first sample, that make the model fit the measurement best."""
+    """Return the voltages before the first sample with which the model fits the measurement best."""
     last = wiped_out(voltage)
     v, y = voltage[:last], measured[:last]
     largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))
@@ -222,7 +222,7 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
 
 
 def _free_response(chain: PlantModel, residual) -> np.ndarray:
-    """Return the free response of the dynamics, fitted by least squares together with a constant that is discarded."""
+    """Return the free response of the dynamics by least squares; a constant is fitted too, but discarded."""
     if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
         return np.zeros_like(residual)
     model = chain.dynamics.state_space
@@ -246,7 +246,7 @@ def judge(
     fitted: int = 0,
     inverse: bool = True,
 ) -> tuple[Validation, InverseValidation | None, dict, list[str]]:
-    """Compare prediction with measurement, and recovered with applied voltage; return both, figures and notes.
+    """Compare prediction and measurement, and recovered and applied voltage; return both results, figures and notes.
 
     Units: ``predicted`` [m].
     """

@@ -9,12 +9,11 @@
 
 """Preisach models from data, together with lag, delay and creep.
 
-One large loop does not determine a Preisach density over two variables, so the fit uses a simple density that such
-loops determine: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width
-of an elementary loop and linear in the bias of the loop. The Everett map of this density is the Everett map of plays
-driven by the mapped voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range). The
-weights follow by linear least squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights
-this is Rayleigh's law.
+One large loop does not determine a Preisach density over two variables. The fit therefore uses a simple density that
+such loops determine: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the
+width of an elementary loop, and linear in the bias of this loop. Its Everett map is that of plays driven by the mapped
+voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range). Linear least squares gives the
+weights (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's law.
 
 A *free* density (:class:`FreeDensity`) has a weight ≥ 0 for each cell of the plane of thresholds. It describes every
 loop with return-point memory and rising branches: loops that saturate, loops with a dead zone, and loops whose branches
@@ -36,14 +35,14 @@ from hysteresis_ros.models.play_operators import plays
 
 WIDTHS = 24
 NODES = 33
-#: Number of cells of a free density along each threshold, over the range of the recording, and largest number of nodes
-#: of the map.
+#: Number of cells of a free density along each threshold, over the range of the recording; largest number of nodes of
+#: the map.
 FREE_CELLS, MOST_NODES = 16, 65
-#: Number of samples, and of cells along each threshold, for the search of the linear part after a free density.
+#: Number of samples, and of cells along each threshold, with which the linear part after a free density is searched.
 SEARCHED, SEARCHED_CELLS = 1500, 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
-#: Largest magnitude of κ, which describes how the density depends on the bias. g(V) (see above) is monotone for κ up to
+#: Largest magnitude of κ, the dependence of the density on the bias; g(V) (see above) is monotone for magnitudes up to
 #: 0.5.
 LARGEST_BIAS = 0.4
 
@@ -76,7 +75,7 @@ def fit_preisach(
 
 
 class Density(PlayFit):
-    """Weights over the width of elementary loops, and their dependence on the loops' bias."""
+    """Weights as a function of the width of elementary loops, and their dependence on the bias of the loops."""
 
     extra = (("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS),)
 
@@ -89,7 +88,7 @@ class Density(PlayFit):
         self.centre, self.half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         spacing = self.half / widths
         self.radii = radii(2.0 * self.half, widths) + 0.5 * spacing
-        # second differences of the density, if the width is counted in units of half the range
+        # second differences of the density, with the width in units of half the range
         self.roughness = np.diff(np.eye(widths + 1), 2, axis=0)[1:] * np.sqrt(widths)
 
     def bent(self, voltage, bias: float):
@@ -188,7 +187,7 @@ class FreeDensity(PlayFit):
         return self
 
     def columns(self, shape) -> np.ndarray:
-        """Return the voltage divided by its range, and the output of each cell for weight 1, shape (N, 1 + cells)."""
+        """Return the voltage divided by its range, and the output of each cell with weight 1, shape (N, 1 + cells)."""
         if self.table is None:
             found = [self.data.voltage / self.span]
             for number in range(len(self.cells)):

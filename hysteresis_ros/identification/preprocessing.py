@@ -7,21 +7,21 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preprocessing of data for fits: the steps in their order.
+"""Preprocessing of data for fits, in the order of the steps.
 
 1. :func:`prepared`, once for each recording: time stamps that jitter around a uniform grid are corrected
    (:func:`steadied`). Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated
    (:func:`resample`). Missing samples at the ends are omitted, and the data is checked. For long data, :func:`reduced`
-   selects the interval that contains most of the different loops, and averages neighbouring samples as long as this
-   removes only noise.
+   selects the interval with most of the different loops, and averages neighbouring samples as far as this removes only
+   noise.
 2. Voltage history before the recording: samples are omitted until the voltage has been near both ends of its range
    (:func:`wiped_out`), or the earlier voltage that caused a remanent displacement is identified
    (:func:`remanent_voltage`).
-3. :func:`condense`, for each fit of plays: averages over blocks of samples, as large as the loops allow. Models with a
+3. :func:`condense`, for each fit of plays: blocks of samples are averaged, as large as the loops allow. Models with a
    law for each branch use :func:`split_branches` instead.
-4. :func:`repeated`, around each fit: outliers and drift are found in the residual of the fit and removed, and the fit
-   is repeated. Fits of plays omit outliers and have a column for the drift. Other models need complete branches, so
-   outliers and drift are removed from the recording instead (:func:`cleaned`).
+4. :func:`repeated`, around each fit: outliers and drift are found in the residual of the fit, and the fit is repeated
+   without them. Fits of plays omit outliers and have a column for the drift. Other models need complete branches, so
+   outliers and drift are removed from the recording (:func:`cleaned`).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def prepared(
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 
-#: Uniform times are assumed if the roughness of the signals on a uniform grid is below this fraction of their roughness
+#: Uniform times are assumed if they reduce the roughness of the signals to less than this fraction of the roughness
 #: with the recorded stamps.
 SMOOTHER = 0.7
 #: Intervals longer than this multiple of the median interval are gaps.
@@ -84,9 +84,9 @@ SHORT_GAP, LONG_ENOUGH = 3, 0.3
 def steadied(data: IdentificationData) -> IdentificationData:
     """Return the data on a uniform grid if the signals show that only the time stamps jitter.
 
-    A computer often stamps a sample late although the converter took it at the right time. Each sample is predicted by
-    the cubic through the two samples before and the two after it, once with the recorded stamps and once with equal
-    intervals; the right assumption predicts better.
+    A computer often stamps a sample late although the converter took it at the right time. A cubic through the two
+    samples before and the two samples after each sample predicts this sample, once with the recorded stamps and once
+    with equal intervals. The prediction with the right times is better.
     """
     if len(data) < 20:
         return data
@@ -114,7 +114,7 @@ def steadied(data: IdentificationData) -> IdentificationData:
 
 
 def uninterrupted(data: IdentificationData) -> IdentificationData:
-    """Return data on a uniform grid without gaps: short gaps are bridged, or the longest part without a gap is used.
+    """Return data on a uniform grid without gaps: bridge short gaps, or use the longest part without a gap.
 
     The input during a longer gap is unknown, and so is the memory of a hysteresis after the gap. Samples without input
     or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
@@ -170,7 +170,7 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
     distances = np.diff(time)
     median = float(np.median(distances))
     if np.ptp(distances) > GRID_TOLERANCE * median:
-        # jitter moves the median, but not the mean
+        # jitter changes the median of the intervals, but not the mean
         median = float(np.mean(distances[~_gaps(distances, median)]))
     target = median if sample_time is None else float(sample_time)
     if not 0.0 < target < time[-1] - time[0]:
@@ -191,7 +191,7 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
 
 
 def _gaps(distances, median):
-    """Return which intervals are gaps; jitter of up to three standard deviations does not count as a gap."""
+    """Return which intervals are gaps; jitter of up to three standard deviations is not a gap."""
     jitter = 1.5 * float(np.median(np.abs(distances - median)))
     return distances > max(GAP_DISTANCE * median, median + 3.0 * jitter)
 
@@ -241,20 +241,21 @@ MOST_SAMPLES = 100_000
 #: … and to at least this number.
 FEWEST_REDUCED = 6000
 #: Limits of the length of an interval: number of full strokes (both directions count) and number of samples. They are
-#: tried in order until an interval contains as much information as the whole recording. The first suffices for a simple
-#: fit, the second for many different loops, the third for sweeps, whose parts all differ.
+#: tried in order until an interval contains at least the fraction AS_GOOD of the information of the whole recording.
+#: The first suffices for a simple fit, the second for many different loops, the third for sweeps, whose parts all
+#: differ.
 STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
-#: An interval with at least this fraction of the information of the best one counts as equally good.
+#: An interval with at least this fraction of the information of the best one (or of the whole recording) is as good.
 AS_GOOD = 0.9
 #: Number of start samples that are tried for the interval.
 TRIED = 20
-#: Number of levels by which turning points are distinguished.
+#: Number of levels of the voltage by which turning points are distinguished.
 LEVELS = 20
-#: Largest RMS content that averaging may remove, as a fraction of the signal's standard deviation …
+#: Largest RMS content that averaging may remove, as a fraction of the signal's standard deviation, …
 LOST = 3e-4
 #: … and smallest ratio of the new sample rate to the highest frequency that is kept.
 OVERSAMPLING = 8.0
-#: Numbers of samples for the search of turning points (OVERVIEW), and of one segment of the spectrum (SEGMENT); least
+#: Number of samples in the search for turning points (OVERVIEW) and in a segment of the spectrum (SEGMENT); smallest
 #: and largest number of segments.
 OVERVIEW = 500_000
 SEGMENT = 1 << 14
@@ -265,9 +266,9 @@ ABOVE_FLOOR = 3.0
 
 
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
-    """Return an interval of long data with neighbouring samples averaged, and a note; return short data unchanged.
+    """Return an informative interval of long data, with neighbouring samples averaged; return short data unchanged.
 
-    Each returned sample is at the middle of the samples averaged into it; their number is
+    The time of a returned sample is the mean time of the samples averaged into it; their number is
     :attr:`IdentificationData.factor`.
     """
     if len(data) <= MOST_SAMPLES:
@@ -341,7 +342,7 @@ def _telling_stretch(voltage, averaged: int):
 
 
 def _shown(levels, speeds) -> float:
-    """Return the information in turning points: the number of different loops and speeds, weighted by the range."""
+    """Return the information in turning points: the number of different loops (size and speed), weighted by the range."""
     loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
     reach = np.ptp(levels) / LEVELS if levels.size else 0.0
     return reach**4 * len(loops)
@@ -361,10 +362,10 @@ def highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: Length [samples] of the interval whose median is subtracted from each sample. If most of an interval deviates, its
-#: samples are not outliers.
+#: Length [samples] of the interval whose median is subtracted from each sample, so that samples are not outliers if
+#: most of the interval deviates.
 STRETCH = 11
-#: An outlier differs from its neighbours by at least this fraction of its error.
+#: The error of an outlier differs from the median of its neighbours by at least this fraction of the error.
 AWAY = 0.5
 #: Number of held-out blocks for the test of a drift.
 BLOCKS = 5
@@ -409,12 +410,12 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
 def inliers(error, first: int) -> np.ndarray:
     """Return which samples are not outliers, shape (N,) of bool; samples before ``first`` are never outliers.
 
-    Outliers are single samples and short intervals away from their neighbours; longer deviations come from the
+    Outliers are single samples and short intervals that differ from their neighbours; longer deviations come from the
     structure of the model.
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     good = _within(error, first) | _within(alone, first)
-    # a smooth error is not an outlier, even if its peak exceeds its neighbours by more than the noise
+    # the peak of a smooth error is not an outlier, even if it exceeds its neighbours by more than the noise
     good |= np.abs(alone) < AWAY * np.abs(error - np.median(error[first:]))
     # ringing too fast for a median filter is not an outlier: it affects many samples close together
     width = 2 * STRETCH + 1
@@ -430,10 +431,10 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
-    """Return which samples are not outliers, shape (N,) of bool; None if they are too many, or hardly matter.
+    """Return which samples are not outliers, shape (N,) of bool; None if outliers are too many or hardly matter.
 
-    Outliers matter if they cause at least the fraction OUTLIERS_MATTER of the squared error of the samples that are
-    still used (``known``).
+    New outliers matter if they cause at least the fraction OUTLIERS_MATTER of the squared error of the samples used so
+    far (``known``).
     """
     good = inliers(error, first)
     used = np.ones(len(error), dtype=bool) if known is None else known.copy()
@@ -449,8 +450,7 @@ def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
 def repeated(fit, look, state):
     """Repeat ``fit(state, before)`` until ``look`` finds nothing new; return the last state of the data and the result.
 
-    ``look(result, state)`` returns the data without the outliers and the drift that the result shows, or None if
-    unchanged.
+    ``look(result, state)`` returns the data without the outliers and the drift that the result shows; None: no change.
     """
     result = fit(state, None)
     for _ in range(ROUNDS):
@@ -462,7 +462,7 @@ def repeated(fit, look, state):
 
 
 def drift_of(error, kept) -> float:
-    """Return the drift of an error, shape (N,), per sample; 0 if it does not help to predict held-out blocks."""
+    """Return the drift per sample of an error, shape (N,); 0 if a drift does not help to predict held-out blocks."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -500,15 +500,15 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     return Cleaned(replace(data, output=predicted + error), drift, int(np.count_nonzero(~good)))
 
 
-#: Largest step of the voltage from block to block, as a fraction of its range, when blocks of samples are averaged …
+#: When blocks of samples are averaged: largest step of the voltage from block to block, as a fraction of its range, …
 LARGEST_STEP = 0.02
 #: … and number of samples that must remain.
 ENOUGH_SAMPLES = 6000
-#: The memory of earlier inputs counts as erased when the input has come this close to both ends of its range (fraction
-#: of the range); the fit starts there.
+#: The memory of earlier inputs counts as erased after the distance of the input from each end of its range has been at
+#: most this fraction of the range; the fit starts there.
 WIPED_OUT = 0.05
 
-#: Loops count as equal if their swings exceed this fraction of the range.
+#: All loops count as equal in size if each swing exceeds this fraction of the range.
 ONE_SIZE = 0.8
 #: Fraction of the range by which the input must rise and fall after the memory is erased.
 LEAST_SWING = 0.5
@@ -523,12 +523,11 @@ class Condensed:
     sample_time: float  #: [s]
     first: int  #: First sample whose residual counts.
     factor: int  #: Number of samples of the recording in each average.
-    kept: np.ndarray  #: shape (N - first,); Which of the samples from ``first`` on are not outliers.
-    #: First counted sample that the voltage history before the recording does not affect; None if it affects all
-    #: samples.
+    kept: np.ndarray  #: shape (N - first,); True for the samples from ``first`` on that are not outliers.
+    #: First counted sample that is independent of the voltage before the recording; None if all samples depend on it.
     erased: int | None = 0
     drifts: bool = False  #: Whether the displacement may contain a linear drift in addition to a constant.
-    #: Voltages [V] before the first sample, starting from rest at 0 V; they determine the memory of the hysteresis.
+    #: Voltages [V] from rest at 0 V to the first sample; they determine the memory of the hysteresis.
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
@@ -558,7 +557,7 @@ class Condensed:
 
     @property
     def reach(self) -> float:
-        """Radius [V] above which no play moves: half the range, or, after a start from rest, the largest voltage."""
+        """Radius [V] from which on no play moves: half the range or, after a start from rest, the largest voltage."""
         half = 0.5 * self.voltage_range
         return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
 
@@ -599,7 +598,7 @@ def condense(
     first = wiped or 0 if skip is None else skip
     if not 0 <= first < v.size - 50:
         raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
-    # the largest steps may be jumps at the start, which no sample rate resolves, so a quantile is used
+    # a quantile, because the largest steps may be jumps at the start, which no sample rate resolves
     step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
     coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
     factor = max(1, min(coarsest, v.size // enough))
@@ -638,8 +637,8 @@ def coarser(data: Condensed, enough: int) -> Condensed:
 def wiped_out(voltage) -> int | None:
     """Return the sample from which earlier voltages no longer matter, if a cycle follows it; otherwise None.
 
-    A voltage that has been at both ends of its range has moved every play that moves anywhere in the recording.
-    Afterwards it must fall and rise by half of the range, because less would show only one branch.
+    A voltage that has been at both ends of its range has moved every play that moves during the recording. After that,
+    the voltage must rise and fall by at least half of the range, because otherwise only one branch is visible.
 
     Units: ``voltage`` [V].
     """
@@ -653,16 +652,16 @@ def wiped_out(voltage) -> int | None:
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return the number of samples until the voltage has been near both ends of its range and the memory is erased."""
+    """Return the number of samples until the voltage has been near both ends of its range, which erases the memory."""
     return condense(data.input, data.output, data.sample_time).skipped
 
 
-#: Tried values of the largest voltage before the recording, as fractions of the largest known voltage.
+#: Tried values of the voltage before the recording, as fractions of the largest recorded voltage.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 
 
 def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]:
-    """Return the voltage before the recording [V] for which ``cost(voltage)`` is smallest, and this cost.
+    """Return the voltage [V] before the recording with the smallest ``cost(voltage)``, and this cost.
 
     Units: ``largest`` [V].
     """

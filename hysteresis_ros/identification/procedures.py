@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification procedures, one per model: from checked data and a request to a chain of blocks.
+"""Identification procedures, one for each model: from checked data and a request to a chain of blocks.
 
 Play-type models are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
 model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
 dynamics and the Bouc-Wen oscillator are fitted to the recording itself.
 
-Declared free parameters (:func:`parametric`): the model is simulated under the recorded voltage by the kernel of the
-nodes. Trust-region steps within the ranges of the parameters, with sensitivities by finite differences, reduce the
-output error. The offset of the output is free. Combinations of parameters that fail their ``check`` count as a large
-error.
+For models with declared free parameters (:func:`parametric`), the kernel of the nodes simulates the model under the
+recorded voltage. Trust-region steps within the ranges of the parameters, with sensitivities by finite differences,
+reduce the output error; the offset of the output is free. A combination of parameters that fails its ``check`` counts
+as a large error.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.units import readable, shown_unit
 
-#: Number of widths of the density when voltage histories before the recording are tried.
+#: Number of widths of the density in the trial fits for the voltage history before the recording.
 TRIED_WIDTHS = 10
 #: Number of samples for the computation of the ambiguity.
 COARSE_SAMPLES = 2000
@@ -95,13 +95,13 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 def usual(data: IdentificationData, request: Request) -> Identification:
     """Fit plays (and dead zones), or another kind of model if it predicts held-out blocks better.
 
-    Other kinds are generalised plays and, where the simplest structure fits poorly, a free Preisach density.
+    Other kinds are generalised plays and, if the simplest structure fits poorly, a free Preisach density.
     """
 
     def others(before, progress, linear) -> list:
         found: list = list(competitors(before, progress))
         if before.rms > POOR * before.data.stroke:
-            # neither drift nor dynamics of a poor fit can be trusted
+            # the drift and the dynamics of a poor fit are unreliable
             still = replace(before.data, drifts=False)
             found.append(without_drift(lambda data: FreeDensity(data).fit(linear, progress), still))
         return found
@@ -136,7 +136,7 @@ SEPARATING = ("prandtl_ishlinskii", "preisach")
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
-    # the linear stage includes a lag; the hysteresis is fitted with a lag, too, so that it does not absorb this lag
+    # the linear stage includes a lag, so the hysteresis is fitted with a lag too; otherwise it would absorb the lag
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
 
@@ -172,17 +172,18 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
 
 
-#: Weight of the excess of the mean square error on held-out parts over the mean square error of the fit. Held-out parts
-#: lie between fitted parts; errors of the parameters have more effect on other loops than on these parts. The weight
-#: was chosen on 40 simulated plants of other model classes, see docs/identification.md.
+#: Additional weight of the excess of the held-out mean square error over that of the fit. Held-out parts lie between
+#: fitted parts, so errors of the parameters have less effect on them than on other loops. The weight was chosen on 40
+#: simulated plants of other model classes, see docs/identification.md.
 EXCESS = 2.0
 
 
 def predicted_error(numbers: dict[str, float], duration: float, fitted: float) -> dict[str, float]:
     """Return the RMS error [m] expected on another recording of this duration [s]; ``fitted``: RMS error of the fit.
 
-    Two uncertainties are added, each as a uniform distribution: densities that fit equally well, up to their largest
-    difference, and drifts that cannot be distinguished from creep, up to the standard deviation of the drift.
+    Two uncertainties are added: the densities that fit equally well (uniformly distributed up to their largest
+    difference), and the drift that cannot be distinguished from creep (a line with the standard deviation of the drift
+    as slope).
     """
     if "held_out_rmse_m" not in numbers:
         return {}
@@ -213,8 +214,8 @@ def polynomial(data: IdentificationData, request: Request) -> Identification:
 def _with_first_rise(static: Separated, request: Request, fit) -> Separated:
     """Return the separation with the first rise, unless the later samples are fitted clearly better without it.
 
-    Only the first rise shows the virgin curve. The trial models of the separation have no virgin curve of their own,
-    so what they find at the beginning does not hold for this model.
+    Only the first rise shows the virgin curve. The trial models of the separation have no separate virgin curve, so
+    their result for the beginning is not valid for this model.
     """
     data, wiped = static.cleaned.data, wiped_out(static.cleaned.data.input)
     if request.skip is not None or request.initial is not None or static.start.kind != "zero" or not wiped:
@@ -272,7 +273,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
     request.progress(0, "shape functions and alpha")
     found = identify_duhem(v, x, **request.options)
     warnings = list(found.warnings)
-    # the output is the model's only memory, so the recording itself shows the initial state
+    # the output is the only memory of the model, so the recording itself shows the initial state
     first: dict[str, Any] = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
     hysteresis = HysteresisParameters(type="duhem", duhem=replace(found.parameters, **first))
     fitted = sum(len(shape) for shape in found.parameters.shapes) + 1
@@ -294,7 +295,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
 
 
 def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
-    """Fit dynamics of higher order after the hysteresis; the gain of these dynamics is moved to the hysteresis."""
+    """Fit dynamics of higher order after the hysteresis, and move their gain to the hysteresis."""
     stage = request.stage
     if stage is None:
         raise IdentificationError("no linear stage is given: choose one with --linear")
@@ -336,12 +337,12 @@ def static_result(
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
 
-#: Error at every sample for parameters that were refused, as a multiple of the stroke.
+#: Error of refused parameters at every sample, as a multiple of the stroke.
 REFUSED = 10.0
 #: Largest number of simulations per free parameter.
 MOST_EVALUATIONS = 200
-#: Relative step of the finite differences; with the usual square root of the machine precision, kinks of a model would
-#: act like noise.
+#: Relative step of the finite differences; with a smaller one, such as the usual square root of the machine precision,
+#: kinks of a model act like noise.
 RELATIVE_STEP = 1e-6
 
 
@@ -369,7 +370,7 @@ def parametric(data, request: Request) -> Identification:
 
 
 class _ParametricSearch:
-    """The search on one recording; free parameters are divided by the magnitude of their initial values."""
+    """The search on one recording, with free parameters divided by the magnitude of their initial values."""
 
     def __init__(self, model: HysteresisModel, static: Separated):
         self.model, self.first = model, len(static.history)
@@ -472,15 +473,14 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             found = FittedHysteresis(gain(stage.gain), 2, stage.deviations)
             return identified(data, request, found, part, False, constant)
     if request.stage:
-        # only an initial value: because of the dynamics after the gain, a line through the samples does not give the
-        # gain
+        # only an initial value: with dynamics after the gain, a line through the samples does not give the gain
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
     slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
     _refuse_gain(slope)
     plain = identified(data, request, FittedHysteresis(gain(slope), 2), LinearPart(), True, constant)
     if not request.parts:
         return plain
-    # add a lag only if it reduces the output error
+    # add a lag only if it clearly reduces the output error
     best = float(np.std((y - slope * u - constant)[skip:]))
     try:
         stage = fit_stage(u, y, step, "first_order", skip, intersample="linear", initial="rest")
@@ -559,7 +559,7 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
 
 
 def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
-    """Return initial values from a linear oscillator; 60 % of its stiffness is elastic, and 60 % hysteretic."""
+    """Return initial values from a fitted linear oscillator: 60 % of its stiffness is elastic, and 60 % hysteretic."""
     options = request.options
     given = {"mass", "stiffness", "alpha", "beta"} <= set(options)
     if given:
@@ -570,8 +570,8 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
     initial = "periodic" if request.initial == "periodic" else "zero"
     structure = Structure(2, 0, intersample, initial, offset=True)
     found = fit_transfer_function(data.input, data.output, data.sample_time, structure)
-    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); both stiffnesses together exceed k, because the hysteretic force
-    # is partly saturated near the resonance
+    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); the sum of both stiffnesses exceeds k, because the hysteretic
+    # force is partly saturated near the resonance
     mass = 1.0 / abs(float(np.ravel(found.numerator)[-1]))
     damping, stiffness = mass * float(found.denominator[1]), mass * float(found.denominator[2])
     return BoucWenMechanicalParameters(
