@@ -342,7 +342,7 @@ def _telling_stretch(voltage, averaged: int):
 
 
 def _shown(levels, speeds) -> float:
-    """Return the information in turning points: the number of different loops (size and speed), weighted by the range."""
+    """Return the information in turning points: number of different loops (size and speed), weighted by the range."""
     loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
     reach = np.ptp(levels) / LEVELS if levels.size else 0.0
     return reach**4 * len(loops)

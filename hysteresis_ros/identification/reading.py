@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reading of checked data from a file: choice of columns, units and samples."""
+"""Reading of checked data from a file: selection of columns, units and samples."""
 
 from __future__ import annotations
 
@@ -75,11 +75,10 @@ class Columns:
         Use every sample; by default long data is reduced to the informative samples
         (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
-        Do not omit an interval of long data, but only average neighbouring samples; evaluations need this, because they
-        use the whole recording.
+        Use the whole of long data and only average neighbouring samples, as an evaluation needs it.
     input_unit, output_unit : str, optional
-        Units of the two columns, for a column without a unit in its name or in ``input`` and ``output``. Units other
-        than V and m are kept in files, reports and messages.
+        Units of the two columns, if neither the names of the columns nor ``input`` and ``output`` state them. Units
+        other than V and m also appear in files, reports and messages.
     """
 
     input: str | None = None
@@ -169,7 +168,7 @@ def _read(source, columns: Columns, progress) -> Reading:
 
 
 def _load(path: pathlib.Path, columns: Columns, progress):
-    """Return the data of a file, sentences about guessed columns, and the range of samples still to be selected."""
+    """Return the data of a file, sentences about guessed columns, and the range of samples not yet selected."""
     sample_time, ranged = columns.sample_time, columns.range or (0, None)
     if sample_time is not None and not 0.0 < sample_time < float("inf"):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
@@ -205,7 +204,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
             continue
         unit = si_unit(stated[role]) or usual
         best = _most_telling(free, names, unit)
-        if best is None:  # the other column has a clear name, and this is the only one left
+        if best is None:  # the other column has a clear name, and this is the only remaining one
             clear = () if "output" in chosen or role == "output" else (_most_telling(free, *known["output"]),)
             left = [name for name in free if name not in clear and free[name] is not None]
             if None in clear or len(left) != 1:
@@ -228,7 +227,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column with the clearest name: of this unit, else without unit, else any; None if unclear."""
+    """Return the column with the clearest name, of this unit, or else without unit, or else any; None if unclear."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     fitting = fitting or list(free)
     ranked = sorted(fitting, key=lambda name: _rank(name, names))

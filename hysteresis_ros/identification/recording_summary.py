@@ -13,9 +13,9 @@ The mean rising and falling branches (:func:`mean_loop`) show the direction and 
 input, or that first falls and then rises (a butterfly), is refused here, because no model with an inverse describes it.
 If the output is level at an end of the range but was steep just before, the amplifier saturates there.
 
-The sign of the gain is determined from slow movement, whose phase is changed neither by a lag nor by a resonance. Other
-causes of movement (other inputs, vibration, drift) count as noise. The gain is determined in the narrowest band, from
-the lowest frequency up, in which it clearly exceeds its standard deviation.
+The sign of the gain is determined from slow movement, because neither a lag nor a resonance changes its phase. Other
+causes of movement (other inputs, vibration, drift) count as noise. The gain is determined in the narrowest band from
+the lowest frequency up in which it clearly exceeds its standard deviation.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from hysteresis_ros.units import bare_name, readable
 
 #: Fraction of the input's power in the first band; each further band has twice as many frequencies as the one before.
 FIRST_BAND = 0.01
-#: The sign of the gain is certain if the gain differs from zero by this number of standard deviations.
+#: The sign of the gain is certain if the gain exceeds this multiple of its standard deviation.
 CERTAIN = 3.0
 #: Number of levels of the input at which the mean branches are computed.
 LEVELS = 50
-#: The output is a butterfly if a polynomial of degree DEGREE explains at least the fraction EXPLAINED of its variance
-#: and, within the range, falls by at least the fraction FALLS of its rise (or rises by this fraction of its fall).
+#: The loop is a butterfly if a polynomial of degree DEGREE explains at least the fraction EXPLAINED of the output's
+#: variance and, within the range, falls by at least the fraction FALLS of its rise (or rises by this fraction of its
+#: fall).
 DEGREE, EXPLAINED, FALLS = 4, 0.3, 0.25
-#: The output is level at an end of the range if both mean branches stay within the fraction LEVEL of the stroke over at
-#: least FEWEST_LEVELS levels …
+#: The output is level at an end of the range if both mean branches change by at most the fraction LEVEL of the stroke
+#: over at least FEWEST_LEVELS levels …
 LEVEL, FEWEST_LEVELS = 0.01, 3
-#: … and it becomes level abruptly if the mean slope of the steeper branch, just before, is at least this fraction of
-#: the overall mean slope.
+#: … and it becomes level abruptly if the mean slope of the steeper branch just before is at least this fraction of the
+#: overall mean slope.
 ABRUPT = 0.5
-#: The loop saturates at an end, or has a dead zone, where the slope over a tenth of the range is below this fraction of
-#: the largest slope.
+#: The loop saturates at an end, or has a dead zone, if the slope there, over a tenth of the range, is below this
+#: fraction of the largest slope.
 FLAT = 0.2
-#: Jitter of the time stamps above this fraction of the sample time is reported.
+#: Jitter of the time stamps is reported if it exceeds this fraction of the sample time.
 UNEVEN = 0.01
-#: The width of the loops is computed up to this number of turning points, because a multisine has many thousands of
-#: them.
+#: The width of the loops is computed only up to this number of turning points; a multisine has many thousands of them.
 MOST_TURNS = 200
 #: Loops count as having one size if all swings exceed this fraction of the range.
 ONE_SIZE = 0.95
@@ -74,7 +74,7 @@ class SlowGain(NamedTuple):
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances, or else the gain of all movement.
+    """Return the gain of the slowest movement with a certain sign, or else the gain of all movement.
 
     Units: ``sample_time`` [s].
     """
@@ -88,7 +88,7 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
     for end in ends:
         size = float(power[:end].sum())
         response = complex(Y[:end] @ np.conj(U[:end])) / size
-        late = response.imag**2 * float(power[:end] @ power[:end])  # caused by a lag: equal in all lines, not noise
+        late = response.imag**2 * float(power[:end] @ power[:end])  # a lag: in all lines alike, not noise
         left = float(power[:end] @ np.abs(Y[:end] - response * U[:end]) ** 2)
         deviation = np.sqrt(0.5 * (late + correlated * left)) / size
         found = SlowGain(response.real, float(deviation), end / (len(u) * sample_time))
@@ -98,7 +98,7 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
 
 
 class MeanLoop(NamedTuple):
-    """Mean output at levels of the input, on rising and on falling branches; NaN where there are no samples."""
+    """Mean output at levels of the input, on rising and on falling branches; NaN at levels without samples."""
 
     levels: np.ndarray  #: shape (n,); Middles of the levels, in the input's unit.
     rising: np.ndarray  #: shape (n,); rising, falling: In the output's unit.
@@ -131,7 +131,7 @@ def mean_loop(u, y, count: int = LEVELS) -> MeanLoop:
 
 
 def butterfly(u, y) -> float | None:
-    """Return the input at which a butterfly changes between falling and rising output; None without a butterfly."""
+    """Return the input at which the output of a butterfly reverses; None without a butterfly."""
     v = 2.0 * (u - u.min()) / np.ptp(u) - 1.0
     curve = np.polynomial.Polynomial.fit(v, y, DEGREE, domain=(-1.0, 1.0))
     if float(np.var(y - curve(v))) > (1.0 - EXPLAINED) * float(np.var(y)):
@@ -147,7 +147,7 @@ def butterfly(u, y) -> float | None:
 
 
 def level_ends(loop: MeanLoop, stroke: float) -> tuple[tuple[float, bool] | None, ...]:
-    """Return, for each end, the input beyond which the output is level, and whether it levels abruptly; or None."""
+    """Return, for each end, the input beyond which the output is level (or None), and whether it levels abruptly."""
     found: list[tuple[float, bool] | None] = []
     middle = float(np.nanmax(loop.middle) - np.nanmin(loop.middle)) / loop.levels.size
     for order in (slice(None), slice(None, None, -1)):
@@ -177,8 +177,7 @@ class RecordingSummary:
     lines: tuple[tuple[str, str], ...]
     #: Reason why no model fits; empty if a model may fit.
     refusal: str = ""
-    #: Inputs below and above which the output is level, after an abrupt change, in the input's unit; None: no such
-    #: input.
+    #: Inputs, in their unit, below and above which the output is level after an abrupt change; None: no such input.
     saturation: tuple[float | None, float | None] = (None, None)
     #: Sentences about saturation at an end of the loop, and about a dead zone.
     shapes: tuple[str, ...] = ()
@@ -325,7 +324,7 @@ def trial_error(data: IdentificationData, limits: tuple[float, float] = (-np.inf
 
 
 def _closest(data: IdentificationData, turn: float) -> str:
-    """Return a sentence about the model that describes a butterfly best, and about the error of this model."""
+    """Return a sentence about the model that describes a butterfly best, and its error."""
     whole = trial_error(data)
     low, high = (readable(float(end), data.input_unit) for end in (data.input.min(), data.input.max()))
     at = readable(turn, data.input_unit)

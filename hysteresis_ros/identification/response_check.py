@@ -9,9 +9,9 @@
 
 """Uncertainty of a model's frequency response, from a recording or from a measured response.
 
-From a recording, the response is estimated between the modelled input of the dynamics (the output of hysteresis and
-creep) and the measurement, averaged over parts of an octave. This response includes the errors of the hysteresis, which
-also act in feedback. From a measured response, the uncertainty follows directly, and linear dynamics are fitted to its
+With a recording, the response is estimated from the modelled input of the dynamics (the output of hysteresis and creep)
+to the measurement, and averaged over parts of an octave. It includes the errors of the hysteresis model, because these
+also act in a closed loop. A measured response gives the uncertainty directly, and linear dynamics are fitted to its
 lines.
 """
 
@@ -41,40 +41,40 @@ from hysteresis_ros.identification.preprocessing import notable_outliers
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import shown_unit
 
-#: Number of bands per octave, and number of narrow bands per octave for resonances.
+#: Number of bands per octave, and of narrow bands per octave for resonances.
 BANDS, NARROW_BANDS = 6, 24
-#: The response counts as known where two standard deviations are below this fraction of the response.
+#: The response counts as known in bands where two standard deviations are below this fraction of the response.
 KNOWN = 0.5
-#: A significant error above KNOWN is attributed to a resonance that the model lacks or has at another frequency. PEAK
-#: is the ratio of the peak of this resonance to its mean over a narrow band, for the assumed damping of an unobserved
+#: A significant error above KNOWN is treated as a resonance that the model lacks or has at another frequency. PEAK is
+#: the ratio of the peak of this resonance to its mean over a narrow band, for the assumed damping of an unknown
 #: resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
-#: The same ratio where the residual rings, for the most lightly damped mode that an identification can find.
+#: The same ratio for bands in which the residual rings: for the lightest damping that an identification can find.
 RINGING_PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING_RANGE[0])
-#: A deviation above this multiple of two standard deviations also counts as known.
+#: A band also counts as known if its deviation exceeds this multiple of two standard deviations.
 CLEARLY = 2.0
-#: Number of sums over overlapping windows that are equivalent to one independent sum.
+#: Factor by which the overlap of the windows increases the variance of sums.
 OVERLAP = 2.0
 #: Bands without content between two bands with content are interpolated, up to this distance in octaves.
 GAP = 1.5
-#: If the content reaches up to this fraction of the sample rate, the whole response counts as known, because a control
-#: loop acts only up to this frequency.
+#: If the content reaches this fraction of the sample rate, the whole response counts as known, because a control loop
+#: acts only up to this frequency.
 WHOLE = 0.5
 #: The residual rings at a frequency where its mean power in a narrow band exceeds its mean power in the surrounding two
 #: octaves by this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
-#: Peaks are ignored where the residual is below this fraction of the movement that the model explains.
+#: A peak is ignored if the residual there is below this fraction of the movement that the model explains.
 RINGS = 0.3
-#: A model with a mode of at most this damping ratio has a resonance within the half-power bandwidth of this mode. What
-#: rings there, such as the steps of a converter or of late samples, is motion of the same mode; errors of its frequency
-#: and damping are visible in the response.
+#: Ringing within the half-power bandwidth of a mode of the model with at most this damping ratio is motion of this
+#: mode, excited for example by converter steps or late samples. Errors of its frequency and damping appear in the
+#: response.
 LIGHT = 0.05
-#: Another source of movement is reported if more than this fraction of the output's power is not a linear response to
+#: Other sources of movement are reported if more than this fraction of the output's power is not a linear response to
 #: the input.
 FOREIGN = 0.25
 NO_CONTENT = "the {} contains hardly any power there"
-#: Largest accepted ratio of the crossover that the model would allow to the crossover that is certain.
+#: Largest accepted ratio of the crossover that the model alone would allow to the crossover with the visible errors.
 FASTER = 2.0
 
 
@@ -83,7 +83,7 @@ class ResponseCheck:
     """The frequency response of a model compared with a recording."""
 
     uncertainty: ResponseUncertainty
-    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2, calculated for an exact model, for the
+    #: believed, seen, certain: Highest crossover [Hz] of integral control with M_s ≤ 2: for an exact model, for the
     #: errors visible in the recording, and for all responses that the recording does not exclude.
     believed: float
     seen: float
@@ -96,9 +96,9 @@ class ResponseCheck:
 
     @property
     def fit_for_feedback(self) -> bool:
-        """Whether the residual does not ring, and its visible errors do not require a much lower crossover.
+        """Whether the residual does not ring, and visible errors do not require a much lower crossover.
 
-        The mean over a band says little about the peak of a lightly damped mode in it, so any ringing counts.
+        Any ringing counts, because the mean over a band says little about the peak of a lightly damped mode.
         """
         return not self.ringing and self.seen * FASTER >= self.believed
 
@@ -125,7 +125,7 @@ class ResponseCheck:
 
     @property
     def entries(self) -> dict:
-        """Return the values that the parameter file contains for a design."""
+        """Return the values that a design reads from the parameter file."""
         found = self.uncertainty
         known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
         rings = {"response.ringing": tuple(float(f"{f:.4g}") for f in self.ringing)} if self.ringing else {}
@@ -178,7 +178,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
     ringing = _ringing(spectra, plant, response, data.sample_time)
     uncertainty, shown = _uncertainty(spectra, response, ringing)
-    # a band without excitation cannot test a model, but ringing in this band is an error of the model
+    # bands without excitation cannot test a model, but ringing in such a band is an error of the model
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
@@ -228,7 +228,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
     edges = np.searchsorted(f, f[0] * 2.0 ** (np.arange(count + 1) / bands))
     edges = np.unique(np.append(edges[:-1], len(f)))[:-1]
     expected = np.abs(response) ** 2 * spectra.input.sum(axis=0)
-    # errors that repeat with the movement, such as those of a hysteresis, are not averaged out by repetitions
+    # errors that repeat with the movement, such as those of a hysteresis, do not average out over repetitions
     repeated = np.abs(spectra.cross.sum(axis=0) - response * spectra.input.sum(axis=0)) ** 2
     repeated = spectra.smooth(repeated / np.maximum(spectra.input.sum(axis=0), np.finfo(float).tiny))
     noise = spectra.incoherent() + repeated
@@ -240,8 +240,8 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
 
 
 def _foreign(spectra: SegmentSpectra, output) -> float:
-    """Return the fraction of the output's power that is no linear response; 0 if the spectra cover too little of it."""
-    # the spectra belong to the differences between samples
+    """Return the fraction of the output's power that is no linear response; 0 if the spectra miss most of it."""
+    # the spectra are those of the differences between samples
     undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
     power = np.abs(np.fft.rfft(output - output.mean())) ** 2
     held = np.fft.rfftfreq(len(output), spectra.sample_time) >= spectra.frequencies[0]
@@ -252,7 +252,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, plant, response, sample_time: float) -> tuple[float, ...]:
-    """Return the frequencies of peaks in the residual that neither the spectrum of the input nor the model has."""
+    """Return the frequencies of peaks that only the residual has: neither the spectrum of the input nor the model."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]
@@ -271,9 +271,9 @@ def _ringing(spectra: SegmentSpectra, plant, response, sample_time: float) -> tu
     return ()
 
 
-#: Number of lowest lines at which the gain is compared with the model.
+#: Number of lines, the lowest ones, at which the gain is compared with the model.
 LOWEST = 10
-#: Number of iterations in which the weights are divided by the denominator of the fit.
+#: Number of repetitions of the fit with weights divided by the denominator of the fit before.
 ITERATIONS = 10
 
 
@@ -286,7 +286,7 @@ class MeasuredPlant:
     radius: np.ndarray  #: shape (F,); Radius of the circles that contain the true response with 95 % probability.
 
     def uncertainty(self, model, sample_time: float) -> ResponseUncertainty:
-        """Return the uncertainty of a model: its deviation from the measurement, and the radius of the circles.
+        """Return the uncertainty of a model: its deviation from the measurement plus the radius of the circles.
 
         Units: ``sample_time`` [s].
         """
@@ -301,8 +301,8 @@ class MeasuredPlant:
 def measured_plant(found: Analysis, model) -> MeasuredPlant:
     """Return the response from the command; a response from a voltage is scaled to the model's gain.
 
-    The scale matches both gains at the lowest lines. The model's gain is valid for the whole stroke; a hysteresis has
-    another gain for small movements.
+    The scale makes both gains equal at the lowest lines: the gain of the model is that of the whole stroke, but a
+    hysteresis has another gain for small movements.
     """
     response = found.response
     radius = response.radius(PROBABILITY)[:, 0, 0]

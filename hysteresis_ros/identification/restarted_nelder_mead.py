@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""SciPy's Nelder-Mead search, scaled, restarted, and from several starts, with recorded trajectories (B3).
+"""SciPy's Nelder-Mead search with scaling, restarts, several starts and recorded trajectories (B3).
 
 Parameters of a model differ by orders of magnitude, so the simplex works on parameters divided by their scales. A
-simplex may collapse before it has reached a minimum. From each start the search is therefore repeated from its best
-point with a new simplex, until there is no further improvement.
+simplex may collapse before it reaches a minimum. Each search is therefore repeated from its best point with a new
+simplex, until there is no further improvement.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NO_BETTER = 1e-6
 MOST_RESTARTS = 10
 #: Assumed number of evaluations of the search from one start, for an estimate of its duration.
 EVALUATIONS = 500
-#: Cost of a perfect fit, relative to the cost of the guess; smaller differences are rounding errors.
+#: Cost of a perfect fit, relative to the cost of the guess; smaller costs are rounding errors.
 PERFECT = 1e-18
 
 
@@ -40,8 +40,8 @@ PERFECT = 1e-18
 class SimplexSettings:
     """Budget and starts of the search."""
 
-    #: Number of starts; the further starts are spread around the guess by half a scale (normally distributed). None:
-    #: the default of the problem, usually 1.
+    #: Number of starts; all but the first are normally distributed around the guess, with a standard deviation of half
+    #: a scale. None: the default of the problem, usually 1.
     starts: int | None = None
     iterations: int = 2000  #: Largest number of iterations of one start.
     tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs, at which a run ends.
@@ -78,7 +78,7 @@ class SimplexSearch:
 
     @property
     def agreeing(self) -> int:
-        """Number of starts that end within 1 % of the lowest cost; 1 of several suggests other local minima."""
+        """Number of starts that end within 1 % of the lowest cost; one of several suggests local minima."""
         return sum(run.costs[-1] <= 1.01 * self.cost for run in self.runs)
 
 
@@ -171,7 +171,7 @@ def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexR
                     "maxiter": iterations - len(values) + 2,
                     "maxfev": 10 * iterations * (z.size + 1),
                     "xatol": tolerance,
-                    # SciPy needs an absolute tolerance; for a perfect fit, rounding errors are the limit
+                    # SciPy needs an absolute tolerance; rounding errors limit a perfect fit
                     "fatol": max(tolerance * before, nothing) if np.isfinite(before) else tolerance,
                 },
             )

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Safe speed of an axis: rate limits of voltage and setpoint, which are written into parameter files with a reason.
+"""Safe speed of an axis: rate limits of voltage and setpoint, written into parameter files with their reasons.
 
 *Slew rate of the voltage*: the smallest of the known limits. Possible limits are the slew rate of the amplifier, twice
 the largest slew rate in a recording, and the voltage range divided by one period of the lowest resonance (for a model
-with lags only, by its slowest time constant). If no limit is known, the slew rate is the voltage range divided by
+without a resonance, by its slowest time constant). If no limit is known, the slew rate is the voltage range divided by
 :data:`FIRST_SECONDS`.
 
 *Approach to setpoints*: half of the slew rate is reserved for the setpoint, the other half for feedback and hysteresis.
@@ -19,11 +19,11 @@ The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.ref
 one period of the resonance and has a zero at the frequency of the resonance. Together they have a double zero there, so
 a change of the setpoint causes little vibration even if the frequency is wrong by some per cent.
 
-*The first motion* of an axis whose initial setpoint is not 0 m (each axis of a stage) keeps the limits, too: its
-reference begins at rest instead of at the initial setpoint. A file that states `approach.from_rest` is not changed.
+*The first motion* keeps the limits too if the initial setpoint is not 0 m, and on each axis of a stage: the reference
+begins at the rest position instead of at the initial setpoint. A stated `approach.from_rest` is not changed.
 
-*Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
-slew rate limits them.
+*Steps of a waveform* also keep the limits of the approach in a closed loop, unless the file states `approach.steps`,
+and always with a feedforward that inverts the dynamics.
 
 A limit above 0 in a file is never replaced.
 """
@@ -50,11 +50,11 @@ FIRST_SECONDS = 1.0
 #: Largest ratio of the slew rate to the largest slew rate in the recording, and fraction of the slew rate that is
 #: reserved for setpoints.
 ROOM, FOR_SETPOINTS = 2.0, 0.5
-#: Damping ratio above which a mode is not a resonance, and magnitude below which a pole is part of a delay.
+#: Damping ratio from which on a mode is not a resonance; magnitude up to which a pole is part of a delay.
 NO_RESONANCE, DELAY = 0.5, 1e-3
-#: Without a known resonance: length of each moving average as a fraction of the time to cross the stroke.
+#: Length of each moving average without a known resonance, as a fraction of the time to cross the stroke.
 UNKNOWN_PART = 0.1
-#: Number of digits of written limits; their accuracy is no higher.
+#: Number of digits of written limits; they are not more accurate.
 DIGITS = 3
 NODES = ("plant_simulator", "hysteresis_compensator")
 APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
@@ -75,7 +75,7 @@ def largest_change(voltage: np.ndarray, sample_time: float) -> float:
 
 
 def slowest(dynamics: LinearParameters, sample_time: float) -> tuple[float, bool]:
-    """Return the lowest resonance of a model [Hz] and True, or else its slowest lag [1/s] and False (0 if none)."""
+    """Return the lowest resonance of a model [Hz] and True, or else the rate of its slowest lag [1/s] and False."""
     return slowest_of(dynamics.state_space.A, sample_time) if dynamics.order else (0.0, False)
 
 
@@ -171,8 +171,8 @@ def with_safe_motion(
                 text, name, namespace, "limits", {"slew_rate": (rate, f"{shown_unit('V')}/s: {slew.reason}")}
             )
     reference = configuration.node("reference_generator", namespace)
-    # a stage begins in the middle of its ranges, where its scans are centred; an axis that reaches only positions above
-    # 0 m begins at the lowest of them
+    # a stage begins in the middle of its ranges, the centre of its scans; an axis that reaches only positions above 0 m
+    # begins at the lowest of them
     away = configuration.stage is not None or float(reference.get("initial_setpoint", 0.0)) != 0.0
     if away and "approach.from_rest" not in reference:
         why = "the first motion, from rest to the initial setpoint, keeps the limits too"
@@ -200,19 +200,19 @@ def with_safe_motion(
 
 
 def _reason_for_smooth_steps(controller: dict, reference: dict) -> str:
-    """Return why steps of a waveform should keep the approach's limits too; empty if they need not, or already do."""
+    """Return why steps of a waveform should keep the limits of the approach; empty if they need not, or already do."""
     feedforward = FeedforwardParameters(type=str(controller.get("feedforward.type", "none")))
     keeps = "steps of a waveform keep the limits too"
     if feedforward.inverts and not reference.get("approach.steps", False):
         return f"{keeps}, because the feedforward inverts the dynamics"
-    # after a jump, a fast loop with a limited slew rate can oscillate between its limits although its margins are met
+    # after a jump, a fast loop with a limited slew rate can oscillate between its limits although it has its margins
     law = LAWS.get(str(controller.get("type", "")))
     stated = "approach.steps" in reference
     return f"{keeps}, because a jump exceeds the slew rate" if law and law.feedback and not stated else ""
 
 
 def with_comments(text: str, commented: str) -> str:
-    """Return ``text`` with the comments of ``commented`` added to equal lines."""
+    """Return ``text`` with the comments from equal lines of ``commented``."""
     known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
     lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines)
@@ -263,7 +263,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
         return "".join(lines[:at] + added + lines[at:])
     mapping = found[1]
     before = {key.value: value for key, value in mapping.value}
-    # from the end of the text, so that earlier positions stay valid
+    # backwards from the end of the text, so that earlier positions stay valid
     for name in sorted(set(values) & set(before), key=lambda name: before[name].start_mark.line, reverse=True):
         value, reason = values[name]
         mark, end = before[name].start_mark, before[name].end_mark

@@ -9,15 +9,15 @@
 
 """The zero of the sensor: its reading at rest at 0 V, determined from the beginning of a recording.
 
-If the voltage rests at 0 V long enough, the zero is the median reading there. If it rests for only a few samples, the
-noise of these readings would shift every displacement. The readings of the first small movement are then used too: a
-straight line is fitted to the difference between reading and model versus the movement of the model. The value of this
-line at zero movement is the zero, so an error in the gain of the model does not matter.
+If the voltage rests at 0 V long enough, the zero is the median reading during this rest. After a rest of only a few
+samples, the noise of these readings would shift every displacement. The readings of the first small movement are then
+used too: a straight line is fitted to the difference between reading and model, as a function of the movement of the
+model. The value of this line at zero movement is the zero, so an error in the gain of the model does not matter.
 
 If a recording begins at another voltage, its first readings may still belong to 0 V, because an axis measures before
-its voltage acts and the positioner has a delay; these readings then show the zero. This is assumed if the readings
-follow the model from rest at 0 V clearly better than the model from rest at the first voltage. Otherwise the recording
-does not show the zero.
+its voltage acts and the positioner has a delay; these readings then show the zero. This is assumed if a model that
+starts at rest at 0 V fits the readings clearly better than a model that starts at rest at the first voltage. Otherwise
+the recording does not show the zero.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ import numpy as np
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.units import readable
 
-#: The voltage counts as 0 V within this fraction of its range.
+#: The voltage counts as 0 V if its magnitude is at most this fraction of its range.
 AT_ZERO = 0.002
-#: With this number of samples at 0 V, the movement after them is not needed.
+#: Number of samples at 0 V that suffice without the movement after them.
 ENOUGH = 30
-#: Largest movements that are used (the second if the first has too few readings), and largest movement that still
-#: counts as rest, as fractions of the stroke. With larger movements, hysteresis would curve the line.
+#: Largest movements that are used (the second if the first has too few readings), and largest movement that counts as
+#: rest, as fractions of the stroke. Hysteresis would bend the line of larger movements.
 SMALL_MOVEMENTS, AT_REST = (0.01, 0.05), 1e-4
-#: Least number of readings during movement for a straight line.
+#: Smallest number of readings during movement that determines a straight line.
 FEWEST_MOVING = 8
 #: The recording began at rest at 0 V if the error of the model with this start is below this fraction of the error of
 #: the model with a start from rest at the first voltage.
 CLEARLY = 0.5
-#: Number of compared samples at the beginning, and number of samples in which the model comes to rest before them.
+#: Number of samples at the beginning that are compared; number of samples before them in which the model comes to rest.
 FIRST, BEFORE = 200, 4000
-#: Number of standard deviations by which a significant zero differs from 0.
+#: A zero is significant if it differs from 0 by more than this number of standard deviations.
 SIGNIFICANT = 3.0
 #: Readings farther from the line than this many standard deviations of the bulk of the readings are outliers.
 OUTLYING = 4.0
@@ -116,7 +116,7 @@ def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:
 
 
 def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
-    """Return whether the first readings follow a start at 0 V rather than a rest at the first voltage."""
+    """Return whether the first readings fit a start at rest at 0 V clearly better than one at the first voltage."""
     voltage = np.concatenate([np.full(BEFORE, data.input[0]), data.input[: len(model)]])
     rested = chain.simulate(voltage)[BEFORE:]
     measured = data.output[: len(model)]
@@ -125,13 +125,13 @@ def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
 
 
 def _at_rest(readings, moved) -> SensorZero:
-    """Return the median of readings [m] at rest, without the movement caused by small voltages that count as 0 V."""
+    """Return the median of readings [m] at rest; the small movement ``moved`` [m] is already subtracted from them."""
     deviation = np.std(readings, ddof=1) / np.sqrt(len(readings)) if len(readings) > 1 else np.nan
     return SensorZero(float(np.median(readings)), float(np.hypot(deviation, _unsure(moved))))
 
 
 def _unsure(moved) -> float:
-    """Return the standard deviation assumed for a model's small movement: half of the movement."""
+    """Return the assumed standard deviation of the small movement of a model: half of the movement."""
     return 0.5 * abs(float(np.median(moved)))
 
 

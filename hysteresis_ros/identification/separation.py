@@ -10,10 +10,9 @@
 """Separation of a hysteresis from the history before the recording, and from lag, creep, drift and outliers.
 
 A hysteresis has memory, and a recording does not show the voltage before it. If the voltage reaches both ends of its
-range and a cycle follows, this memory is erased, and the earlier samples are omitted. Otherwise the whole
-recording counts, and three histories are tried: rest at 0 V; a periodic input; a larger voltage that has left the
-actuator remanent. The memory that a remanent history leaves depends on the model, so this history is searched together
-with the model.
+range and a cycle follows, this memory is erased, and the samples before are omitted. Otherwise the whole recording
+counts, and three histories are tried: rest at 0 V, a periodic input, and remanence after an earlier voltage. The memory
+that remains after this voltage depends on the model, so the voltage is searched together with the model.
 
 Models without lag and creep are fitted to data from which these are removed (:func:`separated`).
 """
@@ -48,19 +47,19 @@ from hysteresis_ros.units import readable
 #: Numbers of plays and dead zones of the trial fits, and number of samples that these fits use.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Fraction of the samples that the comparison of histories omits: those with the largest errors, possibly outliers.
+#: Fraction of the samples, those with the largest errors (possibly outliers), that the comparison of histories omits.
 TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
-#: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
-#: samples, or, for models whose fit needs the beginning, below this fraction of the stroke.
+#: A start at rest is accepted if the error at the beginning is at most AS_WELL times the error of the remaining
+#: samples, or, for models whose fit needs the beginning, at most the fraction AT_REST of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
-#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT times the error of rest (an
-#: assumed value): the trials do not contain the modes, whose response to the first rise is as large as the effect of a
-#: small remanence. If the error of rest is more than EXPLAINED times the error of the remaining samples, any remanence
-#: with a smaller error is preferred.
+#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT (assumed) times the error of
+#: rest. The reason for this factor: the trials do not contain the modes, whose response to the first rise is as large
+#: as the effect of a small remanence. If the error of rest is more than EXPLAINED times the error of the remaining
+#: samples, any remanence with a smaller error is preferred.
 REMANENT, EXPLAINED = 0.8, 3.0
-#: If more than this fraction of the recording would be omitted, a start at rest is tried first: assumed.
+#: Assumed: if more than this fraction of the recording would be omitted, a start at rest is tried first.
 MOST_OMITTED = 0.3
 #: A recording is closed if input and output return to their start within this fraction of their range.
 CLOSED_PART = 0.02
@@ -76,13 +75,13 @@ class Start:
     note: str = ""  #: Sentence about the choice and its reason.
 
     def signals(self, data: IdentificationData):
-        """Return voltage [V] and displacement [m] to fit, and the samples to omit; periodic data is repeated once."""
+        """Return voltage [V] and displacement [m] to fit, and how many to omit; periodic data is repeated once."""
         if self.kind != "periodic":
             return data.input, data.output, self.skip
         return np.tile(data.input, 2), np.tile(data.output, 2), len(data) + self.skip
 
     def past(self, parts: tuple[str, ...]):
-        """Return the key under which fits with this history and these parts are shared with a separation."""
+        """Return the key of fits with this history and these parts, by which a separation finds them again."""
         return "fits", parts, self.kind, self.history
 
     def before(self, voltage) -> np.ndarray:
@@ -91,7 +90,7 @@ class Start:
         return np.concatenate([past, voltage[: self.skip]])
 
 
-#: The start of a recording whose first rise shows that the actuator rested.
+#: The start of a recording whose first rise shows that the actuator was at rest.
 RESTED = Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
 
 
@@ -132,7 +131,7 @@ def without_memory(data: IdentificationData, wiped: int) -> Start:
 
 
 def rests_behind(data: IdentificationData, first: int, part: LinearPart, structure=None) -> bool:
-    """Whether a start at rest at 0 V explains the omitted samples before ``first``, now that the dynamics are known.
+    """Whether, with known dynamics, a start at rest at 0 V explains the omitted samples before ``first``.
 
     The trials of :func:`find_start` contain only a lag, so the response of modes to the first rise looks like
     remanence.
@@ -145,7 +144,7 @@ def _tried(condensed: Condensed) -> FreeWeights:
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
-    """Choose between the histories when the memory lasts too long for the affected samples to be omitted."""
+    """Choose the history of a recording in which the memory of earlier voltages is never erased."""
     rest = _trimmed(trials.error())
     found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other history fits better"))]
     if _closed(data):
@@ -167,7 +166,7 @@ def remanence(voltage: float) -> str:
 
 
 class _PastTrials:
-    """Fits to a recording, reduced to about ``enough`` samples, with different assumed histories and their own lags."""
+    """Fits to a recording, reduced to about ``enough`` samples, with different histories, each with a fitted lag."""
 
     def __init__(self, data: IdentificationData, structure, enough: int = COARSE):
         self.data, self.structure, self.enough = data, structure, enough
@@ -186,7 +185,8 @@ class _PastTrials:
     def at_rest(self, first: int) -> bool:
         """Whether a model that starts at rest at 0 V fits the samples before ``first``.
 
-        True if it fits these samples about as well as the later samples, or to within AT_REST of the stroke.
+        True if the error in these samples is at most AS_WELL times that in the later samples, or the fraction AT_REST
+        of the stroke.
         """
         error = self.error()
         return first == 0 or _trimmed(error[:first]) <= max(
@@ -198,9 +198,9 @@ class _PastTrials:
 
         ``part``: the dynamics, if they are known; otherwise a lag is fitted.
 
-        If a large part would be omitted, the answer is yes if a fit from rest explains both parts about as well as a
-        fit from ``first`` on explains its samples; both parts count, because a fit with a wrong history adapts to the
-        longer part. Otherwise, the recording must begin at 0 V, and no remanence may explain these samples clearly
+        If more than the fraction MOST_OMITTED would be omitted, a fit from rest must explain both parts about as well
+        as a fit from ``first`` on explains its samples. Both parts count, because a fit with a wrong history adapts to
+        the longer part. Otherwise, the recording must begin at 0 V, and no remanence may explain these samples clearly
         better than rest.
         """
         if first == 0:
@@ -226,7 +226,7 @@ class _PastTrials:
         return largest, float(np.min(voltage)) < -BIPOLAR * largest
 
     def remanent(self, rest: float = np.inf) -> tuple[float, float]:
-        """Return the voltage [V] whose remanence fits best, and its error [m].
+        """Return the voltage [V] with the best-fitting remanence, and the error [m] of this fit.
 
         The search ends early if no remanence fits better than ``rest``, the error of a start at rest [m].
         """
@@ -266,7 +266,7 @@ def _trimmed(error) -> float:
 def _closed(data: IdentificationData) -> bool:
     """Return whether the recording may be a whole number of periods.
 
-    It then ends where it begins, and reaches both ends of its range in its first three quarters.
+    Such a recording ends where it begins, and reaches both ends of its range in its first three quarters.
     """
     u, span = data.input, float(np.ptp(data.input))
     reached = [np.flatnonzero(np.abs(u - end) <= CLOSED_PART * span)[0] for end in (u.max(), u.min())]
@@ -291,7 +291,7 @@ class Separated:
     """A recording without the dynamics after a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
-    output: np.ndarray  #: shape (N,); Output of the cleaned recording [m], also without lag and creep.
+    output: np.ndarray  #: shape (N,); Output of the cleaned recording [m] without lag and creep.
     part: LinearPart  #: The linear part after the hysteresis.
     start: Start  #: Assumed beginning of the recording.
     warnings: tuple[str, ...]  #: Warnings about the separation.
@@ -316,9 +316,9 @@ class Separated:
 def separated(data: IdentificationData, request: Request) -> Separated:
     """Return the data without lag, creep, outliers and drift, and the assumed history.
 
-    Lag, creep, outliers and drift are identified together with a Preisach or a Prandtl-Ishlinskii model, whichever has
-    the smaller residual, because these models leave the shape of the loops free. Earlier fits of these models to the
-    same data are reused. The request stores the result for the next model of the same data.
+    Lag, creep, outliers and drift are identified together with a Preisach or a Prandtl-Ishlinskii model, because these
+    models leave the shape of the loops free; the one with the smaller residual is used. Earlier fits of these models to
+    the same data are reused. The request stores the result for the next model of the same data.
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -331,8 +331,8 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)
     if request.skip is None and request.initial is None and start.kind == "zero":
-        skip = None  # the beginning is omitted, because there the model matters more than lag, creep and drift
-    # always search creep too: without it, slow drifts would count as noise in which the lag cannot be seen
+        skip = None  # the beginning is omitted, because the model affects it more than lag, creep and drift do
+    # always search creep too: without it, slow drifts would be noise that hides the lag
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
     searches: tuple[tuple[Any, dict], ...] = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
@@ -356,8 +356,8 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the voltage before the recording, as fractions of the best voltage tried with the first fit,
-#: and relative tolerance of the search.
+#: Range of the search for the voltage before the recording, as fractions of the best voltage with the first fit;
+#: relative tolerance of this search.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 
