@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Recordings of several inputs and outputs: columns, units, and the periods and realisations in them.
+"""Recordings of several inputs and outputs: columns, units, periods and realisations.
 
-A realisation is a span in which all inputs repeat. If a realisation has enough periods, its first period is discarded
-as run-in. One file may contain several realisations, one after the other, as `hysteresis excite` records them, or each
-realisation may have a file of its own.
+A realisation is a span in which all inputs repeat. If every realisation has more than two periods, the first period of
+each is discarded as run-in. One file may contain several realisations, one after the other, as `hysteresis excite`
+records them, or each realisation may have its own file.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ INPUT, OUTPUT = "voltage", "measured"
 SAME_RATE = 1e-6
 #: Largest number of candidate periods, and smallest number of samples of a period.
 CANDIDATES, SHORTEST = 50, 16
-#: A span counts as containing no realisation if the inputs move by less than this fraction of their largest RMS value.
+#: A span contains no realisation if the RMS motion of the inputs in it is at most this fraction of their overall RMS
+#: motion.
 STILL = 0.02
-#: Names of two signals of an axis in the recording of a stage: its reference, and whether the sample was skipped.
+#: Names of two signals of an axis in the recording of a stage: the reference, and whether the sample was skipped.
 ASKED, SKIPPED = "reference", "skipped"
-#: Largest accepted fraction of the samples of a realisation that skipped samples may have changed.
+#: Largest fraction of the samples of a realisation that skipped samples may change.
 MOST_CHANGED = 0.1
 
 
@@ -92,13 +93,12 @@ class StageReading:
     sample_time: float  #: [s]
     source: str  #: Names of the files.
     axes: tuple[str, ...] = ()  #: Names of the axes of a recorded stage.
-    #: References [m] of each run, shape (N, m), if samples were skipped: references repeat even where the inputs do
-    #: not.
+    #: References [m] of each run, shape (N, m), if samples were skipped: they repeat even where the inputs do not.
     asked: tuple[np.ndarray, ...] = ()
-    skipped: int = 0  #: Number of skipped samples: the computer was too busy, and the previous inputs were held.
+    skipped: int = 0  #: Number of skipped samples, in which a busy computer held the previous inputs.
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return inputs and outputs of the only run; raise DataError if there are several."""
+        """Return the inputs and outputs of the only run; raise DataError if there are several runs."""
         if len(self.runs) != 1:
             raise DataError("shape", f"there are {len(self.runs)} runs, but one is needed here: give one file")
         return self.runs[0]
@@ -203,7 +203,7 @@ def _asked(recording: Recording) -> tuple[tuple[np.ndarray, ...], int]:
 
 
 def _trimmed(reading: StageReading) -> StageReading:
-    """Return a reading of one run, without missing samples at the ends of the run."""
+    """Return a reading of one run without the missing samples at its ends."""
     (u, y), name = reading.runs[0], reading.source
     finite = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
     if not finite.any():
@@ -271,7 +271,7 @@ def _arrays(path: pathlib.Path, columns: StageColumns) -> StageReading:
 
 
 def find_period(u: np.ndarray) -> int | None:
-    """Return the period [samples] of most of the inputs ``u``, shape (N, m); None if they do not repeat."""
+    """Return the period [samples] with which most samples of ``u``, shape (N, m), repeat; None without repetition."""
     moved = u - u.mean(axis=0)
     size = 2 * len(u)
     correlation = np.fft.irfft((np.abs(np.fft.rfft(moved, size, axis=0)) ** 2).sum(axis=1))[: len(u) // 2 + 2]
@@ -303,7 +303,7 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
 
 
 def _apart(u: np.ndarray, period: int) -> np.ndarray:
-    """Return, for each sample and the sample one period later, whether their inputs differ."""
+    """Return, for each sample, whether its inputs differ from those one period later."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
     return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
 
@@ -311,7 +311,7 @@ def _apart(u: np.ndarray, period: int) -> np.ndarray:
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
     """Return the realisations in recordings as whole periods; None if the inputs do not repeat.
 
-    A stated period with which the inputs do not repeat is refused.
+    A stated period is refused if the inputs do not repeat with it.
     """
     columns = columns or StageColumns()
     step = reading.sample_time
@@ -362,7 +362,7 @@ def planned_realisations(
 
 
 def without_drift(y: np.ndarray, period: int) -> np.ndarray:
-    """Return the outputs without their drift from period to period, caused for example by creep."""
+    """Return the outputs without the drift from period to period, caused for example by creep."""
     R, count, q = y.shape
     if count < 2 * period:
         return y
@@ -391,7 +391,7 @@ def loops_of(reading: StageReading) -> list[tuple[int, int]]:
     reach = np.ptp(u, axis=0)
     found = []
     for i, name in enumerate(reading.inputs):
-        # an input rests at its first value before and after it moves
+        # an input rests at its first value before and after its motion
         moving = np.abs(u - u[0]) > 1e-3 * np.maximum(reach, CONSTANT)
         alone = np.flatnonzero(moving[:, i] & ~np.delete(moving, i, axis=1).any(axis=1))
         others = np.flatnonzero(moving[:, i] & np.delete(moving, i, axis=1).any(axis=1))

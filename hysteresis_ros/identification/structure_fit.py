@@ -10,13 +10,13 @@
 
 """Refinement of a structure in the time domain: Gauss-Newton on the error of the simulation.
 
-The fitted error is the error of a simulation that uses only the inputs. An equation error with a measured z would have
-a trivial solution that looks perfect. Sensitivities run forward in time together with the states:
+The fitted error is the error of a simulation that uses only the inputs, because an equation error with a measured z has
+a trivial solution with an error of 0. The sensitivities are simulated together with the states:
 
     dx⁺ = A dx + B_w dw + (∂A x + ∂B u + ∂B_w w),   dz_i = C_z,i dx + ∂C_z,i x + ∂g_i u_i,
     dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
 
-where dplay = dz ∓ ∂r for a sliding play; for a sticking play dplay does not change. Without plays the dynamics are
+where dplay = dz ∓ ∂r while a play slides; while it sticks, dplay does not change. Without plays the dynamics are
 linear. Outputs are in units of ``scale``, so that all numbers are near 1.
 """
 
@@ -35,16 +35,16 @@ from hysteresis_ros.identification.subspace import RADIUS, modal_matrix, within
 from hysteresis_ros.models.block import compiled, nested, specialised
 from hysteresis_ros.models.structure import StructureParameters, packed, run_structure
 
-#: Groups of parameters that affect the states, in the order of the sensitivities; C and D affect only the output.
+#: Groups of parameters that affect the states, in the order of the sensitivities; C and D affect only the outputs.
 DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
 LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
-#: Floating-point type of the sensitivities: their precision affects the path of the search, but not its result. The
-#: error itself is computed in double precision.
+#: Floating-point type of the sensitivities. Their precision affects the path of the search, but not its result, because
+#: the error is computed in double precision.
 PRECISION = np.float32
 #: Number of parameters whose sensitivities are computed together, so that they fit into the cache of a core.
 CHUNK = 192
-#: JᵀJ is computed from all samples, or from every second to every fourth one (STRIDE) if at least ROWS values per
-#: parameter remain; the gradient always uses all samples.
+#: JᵀJ uses every k-th sample, with the largest k up to STRIDE that leaves at least ROWS values per parameter; the
+#: gradient always uses all samples.
 STRIDE, ROWS = 4, 60
 
 
@@ -89,7 +89,7 @@ class Found(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Working memory: states and sensitivities at the present sample."""
+    """Working memory for the states and sensitivities of the present sample."""
 
     x: np.ndarray  #: n states, n temporary values, w (h), plays (h r).
     S: np.ndarray  #: shape (2 n, P); Sensitivities of the states.
@@ -98,7 +98,7 @@ class Room(NamedTuple):
 
 @nested
 def _note_sample(model, rates, found, room, now, at):
-    """Write outputs, states and sensitivities of the outputs of a sample."""
+    """Write the outputs, the states and the sensitivities of the outputs of a sample."""
     x, S, J = room.x, room.S, found.J
     n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
     for j in range(n):
@@ -121,7 +121,7 @@ def _note_sample(model, rates, found, room, now, at):
 
 @nested
 def _slide(model, rates, varied, room, now):
-    """Move the plays of all hystereses, and their sensitivities."""
+    """Move the plays of all hystereses and update their sensitivities."""
     x, S, inner = room.x, room.S, room.inner
     kind, row, column = varied.kind, varied.row, varied.column
     n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
@@ -170,7 +170,7 @@ def _slide(model, rates, varied, room, now):
 
 @nested
 def _advance(model, rates, varied, room, now):
-    """Advance states and sensitivities by one sample."""
+    """Advance the states and sensitivities by one sample."""
     x, S, inner = room.x, room.S, room.inner
     kind, row, column = varied.kind, varied.row, varied.column
     n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
@@ -212,7 +212,7 @@ def _advance(model, rates, varied, room, now):
 
 
 def run_sensitivities(model, rates, varied, u, found, room):
-    """Fill ``found`` with the results for ``u``; the first rows of ``u``, in excess of N, are the run-in."""
+    """Fill ``found`` with the results for ``u``; the first rows of ``u``, those in excess of N, are the run-in."""
     run_in = u.shape[0] - found.y.shape[0]
     room.x[:] = 0.0
     room.S[:, :] = 0.0
@@ -291,7 +291,7 @@ class ModalStructure:
 
     @property
     def stable(self) -> bool:
-        """Whether the structure is stable for motions that are much larger than all radii."""
+        """Whether the structure is stable for motions much larger than all radii."""
         A = modal_matrix(self.sigma, self.beta, self.gamma) + self.B_w * self.weights.sum(axis=1) @ self.C_z
         return bool(np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
@@ -306,7 +306,7 @@ class Experiments:
 
     u: np.ndarray  #: shape (R, L + N, m) [V]; the first L samples are the run-in.
     y: np.ndarray  #: shape (R, N, q) [m]
-    deviation: np.ndarray  #: shape (R,); Error [m] that counts as 1 in each realisation.
+    deviation: np.ndarray  #: shape (R,); Unit [m] of the error of each realisation.
 
     def part(self, chosen) -> Experiments:
         """Return some of the realisations."""
@@ -324,7 +324,7 @@ class Experiments:
         return found
 
     def cost(self, structure: StructureParameters) -> float:
-        """Return the mean square error of a structure in units of the deviation."""
+        """Return the mean square error of a structure, in units of ``deviation``."""
         rest = self.simulated(structure) - self.y
         value = float(np.mean((rest / self.deviation[:, None, None]) ** 2))
         return value if np.isfinite(value) else np.inf
@@ -342,7 +342,7 @@ def refine_in_time(
     deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; the error on ``held_out`` data ends the search and selects the returned point.
+    """Refine groups of parameters; the error on ``held_out`` ends the search and selects the returned point.
 
     No step begins after ``deadline``, a time of ``time.perf_counter`` [s].
     """

@@ -8,13 +8,13 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""State space with several inputs and outputs from a frequency response: subspace method, then refinement of the modes.
+"""State space of several inputs and outputs from a frequency response: subspace method and refinement of the modes.
 
 McKelvey's method [1]_ for arbitrary lines finds A and C of a discrete state space from the range of the stacked
 response, without iteration and without a canonical form; B and D follow by linear least squares. The model is then
-transformed into modal form: A is block-diagonal with 2×2 blocks [[σ, β], [γ, σ]], in which β is fixed. All other
-numbers of the model are refined on the response by Levenberg and Marquardt's method. A block represents a conjugate
-pair (β γ < 0) or two real poles, and may change from one to the other during the fit.
+transformed into modal form: A is block-diagonal with 2×2 blocks [[σ, β], [γ, σ]]. β is fixed; Levenberg and Marquardt's
+method refines all other parameters on the response. A block represents a conjugate pair (β γ < 0) or two real poles,
+and may change from one to the other during the fit.
 
 References
 ----------
@@ -38,7 +38,7 @@ from hysteresis_ros.identification.matrix_fraction import refit_input
 #: Default of the largest modulus of a pole. Poles outside the unit circle are reflected into it; poles between this
 #: radius and the circle are moved to this radius.
 RADIUS = 1.0 - 1e-5
-#: A block represents two real poles that are closer together than twice this value as poles at this half distance.
+#: Smallest half distance of two real poles in a block; closer poles are moved apart to this half distance.
 HALF_DISTANCE = 1e-4
 
 
@@ -71,7 +71,7 @@ def subspace_model(
     powers = z[:, None] ** np.arange(rows)
     if weights is not None:
         powers = powers * np.asarray(weights, dtype=float)[:, None]
-    # a column for each line and input; the powers of the input are above those of the response
+    # a column for each line and input; the rows of the input are above those of the response
     exciting = np.einsum("fr,ij->rifj", powers, np.eye(m)).reshape(rows * m, F * m)
     excited = np.einsum("fr,fij->rifj", powers, G / scale).reshape(rows * q, F * m)
     table = np.concatenate([exciting, excited])
@@ -94,7 +94,7 @@ def _deviation(weights, shape):
 
 
 def _stabilised(A, radius: float) -> np.ndarray:
-    """Return A with poles outside the unit circle reflected into it, and then all poles moved to within ``radius``."""
+    """Return A with poles outside the unit circle reflected into it, and then all poles moved inside ``radius``."""
     poles, vectors = np.linalg.eig(A)
     size = np.abs(poles)
     if np.all(size <= radius):
@@ -130,7 +130,7 @@ def modal(model: LinearModel) -> LinearModel:
 
 
 class ModalParameters:
-    """The free numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant.
+    """The free parameters of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant.
 
     Without ``feedthrough`` D is zero and not part of the vector.
     """
@@ -147,13 +147,13 @@ class ModalParameters:
         )
 
     def vector(self, model: LinearModel) -> np.ndarray:
-        """Return the vector of a model with the same β."""
+        """Return the vector of a model that has the same β."""
         sigma, gamma = np.diag(model.A)[::2], np.diag(model.A, -1)[::2]
         through = model.D.ravel() if self.feedthrough else ()
         return np.concatenate([sigma, gamma, model.B.ravel(), model.C.ravel(), through])
 
     def model(self, theta) -> LinearModel:
-        """Return the model with the numbers in a vector."""
+        """Return the model with the parameters in a vector."""
         n, m, q = 2 * self.blocks, self.inputs, self.outputs
         return replace(
             self.template,
@@ -253,7 +253,7 @@ def refine_on_response(
     """Return the modal model refined on a frequency response, and the result of the search.
 
     ``weights``, shape (F, q, m): weights of the entries, by default the inverse of the RMS of the whole response;
-    ``radius``: largest modulus of a pole; ``feedthrough``: whether D is free, or zero.
+    ``radius``: largest modulus of a pole; ``feedthrough``: True: D is free; False: D is zero.
     """
     model = modal(model)
     given = ModalParameters(model, feedthrough)

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The thresholds for the decisions of an identification, in one table with their reasons.
+"""The thresholds of an identification, in one table with their reasons.
 
-A :class:`Threshold` is the relative reduction of an error that a richer explanation must achieve to replace a simpler
+A :class:`Threshold` is the smallest relative reduction of an error with which a richer explanation replaces a simpler
 one. Equal values can have different reasons, so each decision has its own row.
 """
 
@@ -23,11 +23,11 @@ class Threshold:
     """Smallest relative improvement that justifies a richer explanation."""
 
     part: float  #: Required reduction as a fraction of the old error, 0 … 1.
-    error: str  #: The error that is compared, and its samples.
+    error: str  #: The compared error and its samples.
     reason: str  #: Reason why the threshold is neither smaller nor larger.
 
     def bound(self, old: float) -> float:
-        """Return the error, in the unit of ``old``, that a richer explanation must stay below."""
+        """Return the error, in the unit of ``old``, below which a richer explanation is justified."""
         return (1.0 - self.part) * old
 
     def improves(self, new: float, old: float) -> bool:
@@ -65,7 +65,7 @@ FAST_DYNAMICS = Threshold(
 STRUCTURE = Threshold(
     0.03, HELD_OUT, "More freedom always lowers the residual; a structure must also predict held-out parts."
 )
-#: Smallest improvement on held-out parts, in standard errors, because the improvement on one part may be due to chance.
+#: Smallest improvement on held-out parts, in standard errors, because improvements on single parts may be chance.
 STANDARD_ERRORS = 1.0
 LOOPS_OF_ONE_SIZE = Threshold(
     0.3,
@@ -76,7 +76,7 @@ ANOTHER_KIND = Threshold(
     0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no assumption about smaller loops."
 )
 #: If the residual of the simplest structure exceeds this fraction of the stroke, a free Preisach density is tried too,
-#: for loops that saturate or whose branches differ in shape. With piezo stacks the residual is far smaller.
+#: because loops may saturate or have branches of different shape. With piezo stacks the residual is far smaller.
 POOR = 0.005
 DENSITY_DECAY = Threshold(
     0.1,
@@ -84,7 +84,7 @@ DENSITY_DECAY = Threshold(
     "Loops of one size hardly distinguish the decay of the density from its map, and a decay imitates loops that grow "
     "with the rate (8 % less residual, but larger errors on other loops): the default is kept.",
 )
-#: Densities describe a recording equally well if their residuals are within this fraction of the smallest residual.
+#: Densities describe a recording equally well if their residuals exceed the smallest one by at most this fraction.
 EQUAL_DENSITIES = 0.03
 NETWORK_SIZE = Threshold(0.2, RESIDUAL, "More shape functions take longer to train and to run.")
 FREER_MODEL = Threshold(
@@ -93,7 +93,7 @@ FREER_MODEL = Threshold(
 NO_PRIOR = Threshold(
     0.5, HELD_OUT, "If smaller loops are not determined, the model with the stated prior is kept unless clearly wrong."
 )
-#: Allowed relative increase of the residual by smoothing the weights; smaller than STRUCTURE.
+#: Largest relative increase of the residual by smoothing of the weights; smaller than STRUCTURE.
 SMOOTHER_WEIGHTS = 0.01
 #: An ambiguity above this fraction of the stroke is reported as a warning.
 NOTABLE_AMBIGUITY = 0.002
@@ -114,9 +114,9 @@ PAST_WHILE_PREDICTING = Threshold(
 # Drift and outliers
 
 DRIFT = Threshold(0.2, HELD_OUT, "A drift is not part of the model, and the shape of loops may resemble a small drift.")
-#: The iterations of fit and cleaning have converged if the drift changes by less than this fraction.
+#: The iteration of fit and cleaning has converged if the drift changes by less than this fraction.
 SAME_DRIFT = 0.01
-#: Smallest distance of outliers from the median, in standard deviations of the bulk; Gaussian noise hardly reaches it …
+#: Outliers are farther from the median than this many standard deviations of the bulk; Gaussian noise hardly ever is …
 OUTLYING = 5.0
 #: … and largest fraction of outliers; if there are more, the model is wrong.
 MOST_OUTLIERS = 0.1

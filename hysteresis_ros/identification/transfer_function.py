@@ -12,9 +12,9 @@
 ``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. The simulated output is fitted, not a one-step prediction.
 For given poles the output is linear in the numerator, the initial state and an offset; these are solved for exactly in
 every step (variable projection), and only the n coefficients of the denominator are searched. The denominator is a
-product of ``s² + α s + β`` and ``s + α`` with positive coefficients. Every stable denominator has this form, and no
-unstable denominator has it, so every step of the search stays stable. A reduction to second order matches the step
-response (B2) and gives mass, damping and stiffness.
+product of factors ``s² + α s + β`` and ``s + α`` with positive coefficients. All stable denominators have this form,
+and no unstable ones, so every step of the search is stable. A reduction to second order matches the step response (B2)
+and gives mass, damping and stiffness.
 
 References
 ----------
@@ -45,7 +45,7 @@ from hysteresis_ros.identification.linear_systems import (
 )
 from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
 
-#: Initial states that a fit can assume.
+#: Possible initial states of a fit.
 INITIAL = ("zero", "rest", "periodic", "estimate")
 
 
@@ -56,7 +56,7 @@ class Structure:
     poles: int = 2  #: poles, zeros: n ≥ 1 and m ≤ n.
     zeros: int = 0
     intersample: str = "zoh"  #: ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
-    #: Initial state: ``zero``, ``rest`` (at the first input), ``periodic`` (only whole periods of data) or
+    #: Initial state: ``zero``, ``rest`` (at the first input), ``periodic`` (needs whole periods of data) or
     #: ``estimate``.
     initial: str = "zero"
     offset: bool = False  #: Whether a constant is also fitted.
@@ -64,7 +64,7 @@ class Structure:
 
     @property
     def columns(self) -> int:
-        """Number of parameters in which the output is linear: coefficients of the numerator, offset, initial state."""
+        """Number of parameters in which the output is linear: numerator, offset, initial state."""
         return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
 
     def check(self) -> None:
@@ -108,7 +108,7 @@ class TransferFunctionFit:
     numerator: np.ndarray  #: shape (m + 1,); b_m … b_0, highest power first.
     denominator: np.ndarray  #: shape (n + 1,); 1, a_(n-1) … a_0.
     #: shape (m + 1 + n, m + 1 + n); Covariance of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN for coefficients
-    #: that the data cannot separate.
+    #: that the data does not determine.
     covariance: np.ndarray
     offset: float  #: Constant of the output, in its unit; 0 when it was not fitted.
     delay: float  #: Dead time of the input [s], as given.
@@ -120,7 +120,7 @@ class TransferFunctionFit:
     intersample: str  #: Assumed input between samples.
     starts: tuple[Start, ...]  #: All starts of the search, best first.
     converged: bool  #: Whether the best start converged.
-    warnings: tuple[str, ...]  #: Warnings: not converged, at a bound, non-minimum-phase, weakly determined.
+    warnings: tuple[str, ...]  #: Not converged, pole at a bound, non-minimum-phase, weakly determined.
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
 
@@ -170,7 +170,7 @@ class TransferFunctionFit:
         )
 
 
-#: Largest number of evaluations of each start; the best start is then continued.
+#: Largest number of evaluations of each start; after that, only the best start continues.
 EVALUATIONS = 40
 
 
@@ -199,7 +199,7 @@ def fit_transfer_function(
         ranked[-1] = candidates[0]
     begun = time.perf_counter()
     problem.cost(ranked[0])
-    # the derivatives need one further evaluation for each parameter
+    # the derivatives need one more evaluation for each parameter
     seconds = (time.perf_counter() - begun) * EVALUATIONS * (1 + len(ranked[0])) * len(ranked)
     solved = shared([Job(problem.solve, (start, EVALUATIONS)) for start in ranked], seconds)
     results = list(zip(ranked, solved, strict=True))
@@ -239,7 +239,7 @@ class _Problem:
         return np.polymul(result, [1.0, values[-1]]) if self.poles % 2 else result
 
     def theta(self, poles):
-        """Return the logarithms for given poles, after mirroring them to the stable side and clipping to the bounds."""
+        """Return the logarithms for given poles, which are mirrored to the stable side and clipped to the bounds."""
         poles = -np.abs(np.real(poles)) + 1j * np.imag(poles)
         pairs = [p for p in poles if p.imag > 0.0]
         real = sorted((p.real for p in poles if p.imag == 0.0), reverse=True)
@@ -289,7 +289,7 @@ class _Problem:
 
 
 def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
-    """Return logarithms of initial values: from the user, from an ARX fit, from a grid over the band, and random."""
+    """Return logarithms of initial values: from the user, an ARX fit, a grid over the band, and random numbers."""
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:
@@ -300,9 +300,9 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
         arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # a negative real pole has no continuous equivalent
         found.append(problem.theta(np.log(arx) / sample_time))
     except (FitError, DataError):
-        pass  # an ARX fit needs more excitation than an output-error fit; the other starts remain
+        pass  # an ARX fit may fail, because it needs more excitation than an output-error fit; the other starts remain
     random = np.random.default_rng(search.seed)
-    # observable frequencies: from one period over all data to half the sample rate
+    # observable frequencies: from one period in the whole data to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
     grid = np.exp(np.linspace(band[0], band[1], 6))
     for frequency, damping in itertools.product(grid, (0.05, 0.7)):
@@ -434,9 +434,9 @@ class MassSpringDamper:
 
 
 def dominant_second_order(numerator, denominator, horizon: float | None = None, samples: int = 2000) -> SecondOrder:
-    """Keep the frequency of the dominant pole pair and the DC gain; fit the damping to the step response (B2).
+    """Reduce to second order: keep dominant frequency and DC gain, fit the damping to the step response (B2).
 
-    The dominant pole pair is the slowest: its step response decays last.
+    The dominant pole pair is the slowest one, whose transient decays last.
 
     Units: ``horizon`` [s].
     """

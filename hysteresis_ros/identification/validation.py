@@ -25,31 +25,31 @@ import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 
-#: Lags of the correlations [samples], and probability that the correlation at a lag is within its bounds (as in paper
-#: B).
+#: Lags of the correlations [samples]; probability that the correlation at one lag is within its bounds (as in paper B).
 LAGS = 25
 CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
-    """A correlation of the residual, with the bounds that hold for an ideal residual."""
+    """A correlation of the residual, with bounds for an ideal residual."""
 
-    lags: np.ndarray  #: shape (L,) [samples]; positive: the input is that many samples before the residual.
+    lags: np.ndarray  #: shape (L,) [samples]; positive: the input precedes the residual.
     correlation: np.ndarray  #: shape (L,); Normalised, -1 … 1.
     bound: float  #: Half width of the confidence interval at each single lag.
     confidence: float  #: Probability of the confidence interval.
     outside: int  #: Number of tested lags outside the interval (lag 0 of an autocorrelation is not tested).
     largest: float  #: Largest absolute correlation of the lags tested.
-    #: Half width of the region that contains all tested lags together with the probability ``confidence`` (Bonferroni).
+    #: Half width of the interval that contains the correlations at all tested lags with the probability ``confidence``
+    #: (Bonferroni).
     joint_bound: float
-    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN if not
+    #: Probability that chance makes the joint statistic of all lags at least this large (Ljung-Box); NaN if not
     #: computed.
     probability: float
 
     @property
     def passed(self) -> bool:
-        """Whether all lags are within the joint bound; the probability of a false rejection is 1 - confidence."""
+        """Whether all lags are within the joint bound; a false rejection has the probability 1 - confidence."""
         return self.largest <= self.joint_bound
 
 
@@ -66,9 +66,9 @@ def _correlation_test(lags, correlation, tested, deviation, confidence, probabil
 class Validation:
     """Comparison of a prediction with a measurement."""
 
-    samples: int  #: Number of compared samples, without the omitted ones.
+    samples: int  #: Number of compared samples.
     skipped: int  #: Number of omitted samples at the beginning.
-    offset: float  #: Constant that was added to the prediction, in its unit; 0 if it was fixed.
+    offset: float  #: Constant that was added to the prediction, in its unit; 0 if the offset was fixed.
     rmse: float  #: Root mean square error, in the unit.
     maximum_error: float  #: Largest absolute error, in the unit.
     stroke: float  #: Peak-to-peak measurement, in the unit.
@@ -79,7 +79,7 @@ class Validation:
     cross_correlation: CorrelationTest | None  #: Cross-correlation of input and residual; None without an input.
     unit: str  #: SI unit of the measurement.
     residual: np.ndarray  #: shape (samples,); Measurement minus prediction, in the unit.
-    warnings: tuple[str, ...]  #: Sentences, if the residual is not white or is correlated with the input.
+    warnings: tuple[str, ...]  #: Sentences if the residual is not white, or is correlated with the input.
 
     @property
     def rmse_percent_of_stroke(self) -> float:
@@ -218,7 +218,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     if size == 0.0:
         return _correlation_test(every, np.zeros(every.size), slice(None), 0.0, confidence)
     correlation = scipy.signal.correlate(e, u, method="auto")[N - 1 - lags : N + lags] / size
-    # summed over the significant lags only: over all N lags the noise of the autocorrelations would accumulate
+    # summed only over the significant lags, because the noise of the autocorrelations would accumulate over all N lags
     reach = min(N - 1, max(4 * lags, int(10 * np.sqrt(N))))
     r_e, r_u = (scipy.signal.correlate(x, x, method="auto")[N - 1 : N + reach] / (x @ x) for x in (e, u))
     spread = max(1.0 + 2.0 * float(np.sum(r_e[1:] * r_u[1:])), 1.0 / N)
@@ -232,8 +232,8 @@ def parameter_covariance(
 
     ``others`` is the number of fitted parameters without a column, such as a constant that was removed from all
     columns. Residuals are assumed white; with ``correlated``, correlated residuals count as fewer samples. Undetermined
-    parameters raise DataError; with ``truncated``, directions whose singular value is below this fraction of the
-    largest get no variance instead.
+    parameters raise DataError; with ``truncated``, directions with a singular value below this fraction of the largest
+    one have no variance instead.
     """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape

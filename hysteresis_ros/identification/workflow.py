@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification and validation in one call each: from a recording to a parameter file, and to the accuracy of a model.
+"""Identification (from a recording to a parameter file) and validation (accuracy of a model), in one call each.
 
 The commands ``hysteresis identify`` and ``hysteresis validate`` call :func:`identify` and :func:`validate`. With
 ``--model auto``, all models whose hysteresis is a separate, invertible block are compared on held-out thirds of the
@@ -57,9 +57,9 @@ from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.units import figure_name, readable, shown_in
 
-#: Held-out fraction of the recording, once at its end and once at its beginning.
+#: Held-out fraction of the recording: first at its end, then at its beginning.
 HELD_OUT_PART = 1.0 / 3.0
-#: Least number of samples of a comparison.
+#: Smallest number of samples in a comparison.
 FEWEST_COMPARED = 50
 #: Model that is preferred if the recording does not determine smaller loops, unless another model is much better.
 PRIOR_MODEL = "prandtl_ishlinskii"
@@ -72,16 +72,16 @@ BEHIND = 1.5
 def choose_model(data: IdentificationData, linear: str | None, progress=None, **conditions):
     """Return the name of the model that predicts held-out data best, and the RMS errors of all models.
 
-    Each model is fitted to the first two thirds and predicts the last third, as far as the voltage there stays within
-    the range of the fit; a constant offset is removed. Models whose error is at most 1.5 times the smallest error are
-    then also fitted to the last two thirds, and predict the first third. For the other models the error on the last
-    third is returned. Models that cannot be fitted are skipped. A model with more freedom must be better by three per
-    cent. If the recording does not determine loops smaller than its own
-    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data cannot distinguish the models:
-    the model :data:`PRIOR_MODEL` is then chosen, unless another model has less than half of its error.
+    Each model is fitted to the first two thirds and predicts the samples of the last third whose voltage is within the
+    range of the fit; a constant offset is removed. Models whose error is at most 1.5 times the smallest error are then
+    also fitted to the last two thirds, and predict the first third. For the other models the error on the last third is
+    returned. Models that cannot be fitted are skipped. A model with more freedom must be better by three per cent. If
+    the recording does not determine loops smaller than its own
+    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data cannot distinguish the models.
+    Then :data:`PRIOR_MODEL` is chosen, unless another model has at most half of its error.
     """
     refuse_falling(data)
-    # the separation for the static models uses the fits of the models before them in this list
+    # the separation for a static model uses the fits of the models before it in this list
     ahead = sorted(MODELS, key=lambda name: (name != PRIOR_MODEL, name not in FREER_MODELS, name != "preisach"))
     ahead = [name for name in ahead if MODELS[name].block.invertible]
     squares: dict[str, list[np.ndarray]] = {}
@@ -140,9 +140,9 @@ def held_out_squares(data: IdentificationData, model: str, fitted: slice, rest: 
 
 #: Treatments of the constant offset of a sensor.
 OFFSETS = ("kept", "free")
-#: RMS error [% of the stroke] above which a model is reported as a poor description.
+#: RMS error [% of the stroke] above which a warning recommends another model.
 LEFT = 2.0
-#: RMS error in the omitted beginning, as a multiple of the predicted error, above which a warning states this error.
+#: A warning states the RMS error in the omitted beginning if it exceeds this multiple of the predicted error.
 BEGINNING = 2.0
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
@@ -151,15 +151,15 @@ CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is
 class Conditions(TypedDict, total=False):
     """Conditions for the comparison of a model with a recording."""
 
-    #: Number of samples at the beginning that do not count in the error; the model simulates them nevertheless. By
-    #: default, :func:`identify` and :func:`validate` omit the samples until the voltage has been near both ends of its
-    #: range, unless ``initial`` defines the voltage history.
+    #: Number of samples at the beginning that do not count in the error; the model still simulates them. By default,
+    #: :func:`identify` and :func:`validate` omit the samples until the voltage has been near both ends of its range,
+    #: unless ``initial`` defines the voltage history.
     skip: int | None
     offset: str  #: ``kept``, or ``free``: one constant is removed, for a sensor without absolute zero.
-    #: Assumed input between its samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default:
+    #: Assumed input between the samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default:
     #: ``zoh`` for an identification; for a validation, the assumption of the identification.
     intersample: str | None
-    #: The initial state: ``zero`` (at rest at 0 V), ``periodic`` (the input was periodic before) or ``estimate``. The
+    #: Initial state: ``zero`` (at rest at 0 V), ``periodic`` (the input was periodic before) or ``estimate``. The
     #: default depends on the model.
     initial: str | None
 
@@ -169,7 +169,7 @@ class Fast:
     """A recording of small and fast movements that starts from rest at 0 V."""
 
     data: IdentificationData  #: Recording at the sample rate of the axis.
-    skip: int  #: Number of omitted samples at the beginning, such as the ramp to the operating point.
+    skip: int  #: Number of samples omitted at the beginning, for example the ramp to the operating point.
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,7 +457,7 @@ class HysteresisEstimator:
 def _finished(
     result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
 ) -> Identified:
-    """Return an identification with its validation, file and figures; ``read``: warnings from reading the data."""
+    """Return an identification with its validation, file and figures; ``read``: warnings from reading data."""
     if free:
         plant = replace(result.chain, offset=0.0)
         result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
@@ -503,7 +503,7 @@ def _finished(
 def _beginning_notes(
     data: IdentificationData, beginning: float, predicted: float | None, rmse: float
 ) -> tuple[str, ...]:
-    """Return a warning if the RMS error in the omitted beginning is far above the predicted one, or that of the fit.
+    """Return a warning if the RMS error in the omitted beginning is far above the predicted error, or else the fit's.
 
     Units: all errors [m].
     """
@@ -568,7 +568,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     skip = _averaged(given.get("skip"), data)
     if skip is None:
-        # samples that depend on an unknown voltage history are omitted, as in an identification
+        # samples that depend on the unknown voltage history are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     free = given.get("offset") == "free"
     shown = as_sensed(data, predicted)
@@ -587,7 +587,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
 
 
 def within_saturation(data: IdentificationData, recording: RecordingSummary) -> IdentificationData:
-    """Return the data, its input limited to the range that the output follows (with a warning), or unchanged."""
+    """Return the data with its input limited to the range that the output follows; add a warning if it is."""
     low, high = recording.saturation
     limits = [-np.inf if low is None else low, np.inf if high is None else high]
     width = 1.5 * float(np.ptp(data.input)) / LEVELS
@@ -616,7 +616,7 @@ def within_saturation(data: IdentificationData, recording: RecordingSummary) -> 
 
 
 def as_sensed(data: IdentificationData, predicted: np.ndarray) -> np.ndarray:
-    """Return the prediction, shape (N,), clipped where the sensor clipped the recording."""
+    """Return the prediction, shape (N,), clipped at the levels at which the sensor clipped the recording."""
     clipped = clipped_samples(data.output, data.input)
     ends = [float(end) if np.any(clipped & (data.output == end)) else math.inf for end in _extremes(data.output)]
     return np.clip(predicted, -math.inf if math.isinf(ends[0]) else ends[0], ends[1])
@@ -627,7 +627,7 @@ def _extremes(values: np.ndarray) -> tuple[float, float]:
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:
-    """Return the number of averaged samples that contain the first ``skip`` samples of the recording."""
+    """Return the number of averaged samples that cover the first ``skip`` samples of the recording."""
     return None if skip is None else -(-max(skip - data.first, 0) // data.factor) if data.factor > 1 else skip
 
 
@@ -669,7 +669,7 @@ def _beyond(plant: PlantModel, data: IdentificationData):
 
 
 def finite(figures: dict) -> dict:
-    """Return figures for JSON: values that are not finite become None."""
+    """Return figures for JSON, in which values that are not finite become None."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()
