@@ -157,7 +157,7 @@ def _require_excitation(table) -> None:
     condition = np.linalg.cond(table / np.linalg.norm(table, axis=0))
     if not condition < RANK:
         raise FitError(
-            f"the data does not determine {unknowns} parameters (condition {condition:.2g}): "
+            f"the data does not determine all {unknowns} parameters (condition number {condition:.2g}): "
             "use lower orders or an input with more frequencies"
         )
 
@@ -191,7 +191,7 @@ def _check_orders(orders: ArxOrders, zero_radius: float | None) -> None:
     if zero_radius is not None and not 0.0 < zero_radius <= 1.0:
         raise FitError(f"zero_radius = {zero_radius}: must be in 0 … 1")
     if zero_radius is not None and nb > 3:
-        raise FitError(f"nb = {nb}: zeros can be constrained for nb ≤ 3; use fewer coefficients or no constraint")
+        raise FitError(f"nb = {nb}: zeros can be constrained only for nb ≤ 3; use fewer coefficients or no constraint")
 
 
 def _records(u, y):

@@ -395,7 +395,7 @@ class StructureEstimator:
             )
             models.append(model)
             errors.append(judge.cost(ModalStructure.linear(model, 1.0).parameters()))
-            self._report(f"order {order}: held-out error {np.sqrt(errors[-1]):.4g} times the distortion")
+            self._report(f"order {order}: weighted held-out error {np.sqrt(errors[-1]):.4g}")
         enough = np.sqrt(errors) <= ENOUGH * np.sqrt(min(errors))
         return models[min(np.flatnonzero(enough), key=lambda i: orders[i])]
 

@@ -213,11 +213,11 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
     finite = np.isfinite(input) & np.isfinite(output)
     missing = int(np.count_nonzero(~finite))
     if len(time) < minimum_samples:
-        text = f"too short: {len(time)} samples, at least {minimum_samples} are needed"
+        text = f"too short: {len(time)} samples; at least {minimum_samples} are needed"
         found.append(Finding("short", "error", text))
     if missing:
         index = int(np.argmax(~finite))
-        text = f"{missing} of {len(time)} samples are missing (NaN), the first at index {index}"
+        text = f"{missing} of {len(time)} samples are missing (NaN), the first of them at index {index}"
         found.append(Finding("nan", "error", f"{text}; choose a range without them (--range) or add --resample auto"))
     sample_time, jitter, finding = check_uniform(time)
     found += finding
@@ -243,7 +243,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
         ):
             if share > 0.0:
                 text = (
-                    f"the {role} seems clipped: {100 * share:.2g} % of the samples are exactly at its extreme "
+                    f"the {role} seems clipped: {100 * share:.2g} % of the samples are exactly at an end of its range "
                     f"({readable(values.min(), unit)} … {readable(values.max(), unit)})"
                 )
                 found.append(Finding("clipping", "warning", text))
@@ -615,7 +615,8 @@ def _same_unit(recording, choice):
     name, unit = (choice, None) if choice in recording else split_choice(choice)
     there = recording.units.get(name)
     if unit is not None and there is not None and unit != there:
-        raise DataError("unit", f"signal '{name}' of the recording is in '{there}', not in '{unit}'")
+        text = f"signal '{name}' of the recording is in '{there}', not in '{unit}'"
+        raise DataError("unit", f"{text}; leave the unit out")
     return name
 
 
@@ -658,14 +659,14 @@ def checked_signals(input_, output, names=("voltage", "displacement"), fewest: i
             raise DataError("short", f"{name} has {values.size} samples, too short; N ≥ {fewest} are needed")
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            text = f"{name} is not finite at {bad.size} samples (NaN or infinite), the first is number {bad[0]}"
+            text = f"{name} is not finite at {bad.size} samples (NaN or infinite), the first of them at index {bad[0]}"
             raise DataError("nan", f"{text}; cut them out or resample")
         if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
             raise DataError("constant", f"{name} is constant at {values[0]:g}; excite the actuator and record again")
         signals.append(values)
     if signals[0].size != signals[1].size:
         text = f"{names[0]} has {signals[0].size} samples and {names[1]} {signals[1].size}"
-        raise DataError("shape", f"{text}; they must belong together and have one shape (N,)")
+        raise DataError("shape", f"{text}; both must have the same number of samples")
     return signals[0], signals[1]
 
 

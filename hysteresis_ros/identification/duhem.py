@@ -533,7 +533,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
         )
     if loop.opening < 1e-3:
         warnings.append(
-            f"the loop width is only {100.0 * loop.opening:.2g} % of its range: there is hardly any hysteresis"
+            f"the loop width is only {100.0 * loop.opening:.2g} % of the range: there is hardly any hysteresis"
         )
     if minor is not None:
         input_, output = minor
@@ -557,7 +557,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     shapes = fit_shapes(operator, target, shape, size, np.random.default_rng(seed), loop.noise)
     if not shapes.converged:
         converged = False
-        warnings.append(f"the training of f and g was ended with a residual of {50.0 * shapes.rms:.2g} % of the range")
+        warnings.append(f"the training of f and g did not converge: residual {50.0 * shapes.rms:.2g} % of the range")
     parameters = _parameters(loop, alpha, shapes, pairs[0][0][0], pairs[0][1][0])
     if minor is not None:
         minor_rms = _minor_rms(parameters, loop, minor)

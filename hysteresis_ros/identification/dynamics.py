@@ -869,9 +869,9 @@ STAGES = {
     "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
     "second_order_zero": "continuous, 2 poles and 1 zero, by output error",
     "third_order": "continuous, 3 poles, by output error",
-    "arx": "discrete, orders chosen by an information criterion, least squares",
-    "arx2": "discrete, a1 a2 b0 b1, least squares",
-    "frequency_response": "discrete, order chosen, matrix fraction on Welch's frequency response",
+    "arx": "discrete, by least squares; orders chosen by an information criterion",
+    "arx2": "discrete, a1, a2, b0 and b1, by least squares",
+    "frequency_response": "discrete, by a matrix fraction of Welch's frequency response; order chosen automatically",
 }
 #: Linear stage with lag, delay and modes, whose structure is chosen by the prediction of held-out segments.
 MODES = "modes"
@@ -1157,7 +1157,7 @@ def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
         for name, value, end in ends:
             if abs(value - end) <= AT_BOUND * end:
                 found.append(
-                    f"mode {mode.frequency:.4g} Hz: its {name} = {value:.3g} is at a search bound: the recording "
+                    f"mode {mode.frequency:.4g} Hz: {name} = {value:.3g} is at a search bound, so the recording "
                     "does not determine this mode; record a multisine that excites it (hysteresis excite --recipe "
                     "multisine), or leave modes out (--linear lag,delay,creep)"
                 )

@@ -212,7 +212,8 @@ def multisine_response(
     refuse_short(N, 16, "a period of a multisine")
     _refuse_constant(e.reshape(-1, 1))
     if inputs > realisations:
-        raise DataError("short", f"{realisations} experiments cannot separate {inputs} inputs; {inputs} are needed")
+        text = f"{realisations} experiments cannot separate {inputs} inputs"
+        raise DataError("short", f"{text}; at least {inputs} are needed")
     U, Y, E = (np.fft.rfft(part, axis=3)[..., 1 : (N + 1) // 2] / N for part in (u, y, e))
     strength = np.abs(E.mean(axis=1)).max(axis=(0, 1))
     excited = strength > EXCITED * strength.max()
@@ -243,7 +244,8 @@ def averaged(frequency, U, Y, E):
     gram = Um @ Eh
     weak = np.linalg.cond(gram) > 1e10
     if weak.any():
-        raise DataError("rank", f"the experiments do not separate the inputs at {frequency[weak][0]:.6g} Hz and others")
+        text = f"the experiments do not separate the inputs, for example at {frequency[weak][0]:.6g} Hz"
+        raise DataError("rank", f"{text}; excite the inputs with different phases")
     inverse = np.linalg.inv(gram)
     response = Ym @ Eh @ inverse
     spread = np.einsum("fji,fjk,fki->fi", inverse.conj(), Em @ Eh, inverse).real
@@ -711,7 +713,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     }
     degrees = float(real_array(held, "degrees", 1)[0]) if "degrees" in held else None
     if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
-        raise ValueError("degrees of freedom without a variance")
+        raise ValueError("degrees must be > 0 and needs total_variance or noise_variance")
     levels = (
         [real_array(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
     )

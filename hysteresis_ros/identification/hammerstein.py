@@ -107,7 +107,7 @@ def search_linear_part(search: PartSearch, linear, guess=None):
     known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
-        raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
+        raise IdentificationError(f"linear part {', '.join(unknown)}: must be any of lag, delay and creep, or empty")
     data = search.data
     # the creep of a remanent actuator had settled before the recording; after rest at 0 V, creep starts at zero
     settled = known.settled or bool(data.history)
@@ -458,7 +458,7 @@ def usable(fits: list) -> list:
 def require_rising(scale: float) -> None:
     """Raise IdentificationError if the weights of a fit do not add up to a positive gain."""
     if not scale > 0.0:
-        raise IdentificationError("the displacement falls where the voltage rises; check the columns, or --negate")
+        raise IdentificationError("the displacement falls where the voltage rises; check the columns, or use --negate")
 
 
 def without_drift(fit, data):

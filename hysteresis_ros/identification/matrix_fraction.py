@@ -159,7 +159,7 @@ def identify_matrix_fraction(
     model = winner.models[chosen - 1]
     warnings = [*data.warnings, *model.warnings, *_missed(winner, misfit[chosen - 1], data, deviation, size)]
     if suggested == maximum_order and order is None:
-        warnings.append(f"the suggested order {suggested} is the highest one tried, and the misfit is still falling")
+        warnings.append(f"the suggested order {suggested} is the highest one tried; a higher order may fit better")
     if order is not None and order < suggested:
         warnings.append(f"order {order} was requested; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
     return MatrixFractionFit(

@@ -165,7 +165,7 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
     """
     finite = np.isfinite(data.input) & np.isfinite(data.output)
     if np.count_nonzero(finite) < 2:
-        raise DataError("short", f"{np.count_nonzero(finite)} finite samples; resampling needs two")
+        raise DataError("short", f"{np.count_nonzero(finite)} finite samples; resampling needs at least two")
     time = data.time[finite]
     distances = np.diff(time)
     median = float(np.median(distances))

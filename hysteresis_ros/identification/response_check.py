@@ -109,7 +109,7 @@ class ResponseCheck:
             return ""
         there = self.unfit_at
         percent = 100.0 * float(self.uncertainty.at([there])[0])
-        why = f"the response at {there:.4g} Hz is known only to {percent:.0f} %"
+        why = f"the response at {there:.4g} Hz is known only to within {percent:.0f} %"
         if self.ringing and (there > self.uncertainty.known_to or self.seen * FASTER >= self.believed):
             why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has no resonance"
         slower = f"it is fit up to {self.certain:.3g} Hz" if self.certain else "a slower loop may be unsafe too"

@@ -230,7 +230,8 @@ def _signal(recording: Recording, source: str, choice: str) -> str:
         near = did_you_mean(name, recording.signals)
         raise DataError("columns", f"{source}: no signal '{name}'{near}; there are {', '.join(recording.signals)}")
     if unit is not None and recording.units[name] != unit:
-        raise DataError("unit", f"{source}: signal '{name}' is in '{recording.units[name]}', not in '{unit}'")
+        text = f"{source}: signal '{name}' is in '{recording.units[name]}', not in '{unit}'"
+        raise DataError("unit", f"{text}; leave the unit out")
     return name
 
 
@@ -341,7 +342,7 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
     fewest = min(counts)
     settle = (1 if fewest > 2 else 0) if columns.settle is None else columns.settle
     if not 0 <= settle < fewest:
-        raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods, at least one must remain")
+        raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods; at least one must remain")
     kept = slice(settle * period, fewest * period)
     u, y = (np.array([span[place][kept] for span in spans]) for place in (0, 1))
     return StructureData(u, without_drift(y, period), step, period)
@@ -354,7 +355,7 @@ def planned_realisations(
     u, y = reading.whole()
     length = (settle + periods) * period
     if len(u) < first + count * length:
-        text = f"{reading.source}: has {len(u)} samples, the excitation {first + count * length}: it is cut off"
+        text = f"{reading.source}: has {len(u)} samples, the excitation needs {first + count * length}: it is cut off"
         raise DataError("short", text)
     kept = slice(settle * period, length)
     u, y = (one[first : first + count * length].reshape(count, length, -1)[:, kept] for one in (u, y))

@@ -293,7 +293,7 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:
-        raise FitError(f"start_poles has {len(given)} poles in conjugate pairs or real; {poles} are needed")
+        raise FitError(f"start_poles has {len(given)} poles; {poles} are needed, real or in conjugate pairs")
     try:
         arx = fit_arx(u, y, sample_time, ArxOrders(poles, poles), offset=True).poles.astype(complex)
         arx[np.abs(arx) < 1e-6] = 1e-6

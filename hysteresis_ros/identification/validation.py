@@ -122,7 +122,7 @@ def validate(
         raise DataError("unit", "unit is empty: figures need a unit; give m, V …")
     y, p = finite_array("measured", measured), finite_array("predicted", predicted)
     if y.shape != p.shape or y.ndim != 1:
-        raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be (N,)")
+        raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be of one shape (N,)")
     if not 0 <= skip < len(y):
         raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")
     refuse_short(len(y) - skip, max(4, parameters + 2), f"a validation with skip = {skip}, parameters = {parameters}")

@@ -145,7 +145,7 @@ LEFT = 2.0
 #: A warning states the RMS error in the omitted beginning if it exceeds this multiple of the predicted error.
 BEGINNING = 2.0
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
-CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
+CONSTANT_REMOVED = "a constant was removed from the output, because the zero of the sensor is not known"
 
 
 class Conditions(TypedDict, total=False):
@@ -477,8 +477,8 @@ def _finished(
     notes += () if free else zero_warnings(data, result.chain)
     if found.rmse_percent_of_stroke > LEFT:
         notes.append(
-            f"{result.model} leaves {found.rmse_percent_of_stroke:.2g} % of the stroke: another model may come closer "
-            "(--model auto), or something else moves the output too, such as relaxation or noise"
+            f"{result.model} has an RMS error of {found.rmse_percent_of_stroke:.2g} % of the stroke: another model may "
+            "fit better (--model auto), or something else moves the output too, such as relaxation or noise"
         )
     if fast is not None:
         result = _with_fast(result, fast)
@@ -512,7 +512,7 @@ def _beginning_notes(
         return ()
     text = (
         f"the {name} of {readable(expected, 'm')} holds after the voltage has been near both ends of its "
-        f"range; before, in the omitted beginning of this recording, the error is {readable(beginning, 'm')} RMS"
+        f"range; in the omitted beginning of this recording the error is {readable(beginning, 'm')} RMS"
     )
     if begins_at_zero(data.input):
         text += "; --initial zero fits the beginning too, if the actuator had no remanence then"

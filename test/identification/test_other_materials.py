@@ -240,7 +240,7 @@ def test_a_rival_without_weights_drops_out_and_alone_names_the_reason():
     bad = [kind.behind(LinearPart()) for kind in (GeneralisedPlays(falling, 6), FreeWeights(falling, 6, 0))]
     assert usable([*bad, good]) == [good] and invalid(good) is None
     for fit in bad:
-        with pytest.raises(IdentificationError, match="falls where the voltage rises; check the columns, or --negate"):
+        with pytest.raises(IdentificationError, match="falls where the voltage rises; check the columns, or use"):
             usable([fit])
 
 
