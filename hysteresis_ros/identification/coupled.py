@@ -8,7 +8,7 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Identification of coupled axes: several inputs and outputs, one model for all levels of the excitation.
+"""Identification of coupled axes: several inputs and outputs, and one model for all levels of the excitation.
 
 The identification has three steps; each uses the result of the previous one:
 
@@ -92,7 +92,7 @@ class StructureData:
     Raises
     ------
     DataError
-        The shapes do not fit, or a value is not finite.
+        The shapes of inputs and outputs do not fit together, or a value is not finite.
     """
 
     u: np.ndarray
@@ -134,7 +134,7 @@ class StructureData:
         return replace(self, u=self.u[chosen], y=self.y[chosen])
 
     def averaged(self, run_in: int) -> Experiments:
-        """Return one period, averaged over all periods, preceded by a run-in: a repetition of the end of the period."""
+        """Return the mean period of each realisation after a run-in, which repeats the end of the period."""
         R, _, m = self.u.shape
         u, y = (part.reshape(R, -1, self.period, part.shape[2]).mean(axis=1) for part in (self.u, self.y))
         before = np.tile(u, (1, -(-run_in // self.period), 1))[:, -run_in:] if run_in else u[:, :0]
@@ -150,9 +150,9 @@ class IdentifiedStructure:
     parameters : StructureParameters
         The model, in SI units.
     responses : tuple of ResponseMatrix
-        Frequency response matrix of each level, the lowest first, from the realisations that were not held out.
+        Frequency response matrices from the realisations that were not held out, one for each level, the lowest first.
     figures : dict
-        Figures by names with units: order, plays, largest pole modulus and condition number, and for each level the
+        Figures by names with units: order, plays, largest modulus of a pole, largest condition number; for each level:
         errors on the fitted and on the held-out realisations, noise and distortion.
     warnings : tuple of str
         Sentences about uncertain results.
@@ -171,8 +171,8 @@ class IdentifiedStructure:
         u : array_like, shape (R, N, m) or (N, m)
             Inputs [V].
         period : int, optional
-            Number of samples after which the inputs repeat. The outputs are then those of the steady state, after one
-            period of run-in. By default, the simulation starts from rest.
+            Number of samples after which the inputs repeat. If given, the outputs are those of the steady state, after
+            one period of run-in; otherwise the simulation starts from rest.
 
         Returns
         -------
@@ -206,7 +206,7 @@ class IdentifiedStructure:
         Returns
         -------
         ndarray, shape (L, q)
-            RMS error of each period, averaged over realisations and periods, for each level (the lowest first) and
+            RMS error of a period, averaged over realisations and periods, for each level (the lowest first) and each
             output.
         """
         R, q = len(data.u), data.y.shape[2]
@@ -248,32 +248,32 @@ class StructureEstimator:
     Parameters
     ----------
     order : int or tuple of int
-        Even order of the linear part. If several are given, the order that best predicts the held-out realisations is
-        chosen.
+        Even order of the linear part. If several are given, the lowest one is chosen that predicts the held-out
+        realisations about as well as the best.
     plays : int
         Number of plays of each hysteresis; 0: linear dynamics only.
     hystereses : int
-        Number of hystereses of each actuator. The search begins with the motion of the structure as the input of
-        the first hysteresis and with the voltage as the input of the others.
+        Number of hystereses of each actuator. At the start of the search, the input of the first one is the motion of
+        the structure, and the input of the others is the voltage.
     held_out : int
         Number of held-out realisations of each level; their error selects the order and ends the search.
     run_in : int, optional
-        Number of samples before each period in which a simulation from rest settles; by default a quarter of the
-        period. Modes that settle more slowly are not found.
+        Number of samples before each period during which a simulation from rest settles; by default a quarter of the
+        period. Modes that settle more slowly cannot be identified.
     weighting : str
-        Weighting of the errors: ``distortion``, relative to the nonlinear distortion of the level, so that all levels
-        count equally; or ``absolute``, in metres, so that the highest level counts most.
+        Weighting of the errors. ``distortion``: relative to the nonlinear distortion of the level, so that all levels
+        count equally; ``absolute``: in metres, so that the highest level counts most.
     steps : int
-        Number of steps of the last stage of the search, which fits all parameters to all data.
+        Largest number of steps of the last stage of the search, which fits all parameters to all realisations that are
+        not held out.
     seconds : float, optional
-        Time limit of the search [s]: no step begins after it, and the best point so far is the result. If this limit
-        ends the search, the model depends on the speed of the machine.
+        Time limit of the search [s]: no step begins after this time, and the best point so far is the result. If this
+        limit ends the search, the model depends on the speed of the machine.
     band : tuple of float, optional
-        Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
-        default.
+        Lowest and highest frequency [Hz] of the fit of the linear part; by default all excited lines.
     feedthrough : bool
-        Whether an output may respond to the input of the same sample (matrix D). This is impossible in a loop that
-        measures before it commands.
+        Whether an output may respond to the input of the same sample (matrix D). In a loop that measures before it
+        commands, it cannot.
     progress : callable, optional
         Called as ``progress(text)`` after each step.
     """
@@ -351,7 +351,7 @@ class StructureEstimator:
         parameters = found.parameters().validated()
         warnings = [text for one in responses for text in one.response.warnings]
         if not course.converged and held is None:
-            warnings.append(f"the search was stopped after {self.steps} steps; raise steps")
+            warnings.append("the search was stopped before it converged; raise steps or seconds")
         result = IdentifiedStructure(parameters, responses, {}, tuple(dict.fromkeys(warnings)))
         figures = _figures(result, data, levels, fitted, judged if self.held_out else None)
         figures["seconds"] = time.perf_counter() - begun
@@ -493,7 +493,7 @@ def identify_structure(u, y, sample_time: float, period: int, **options) -> Iden
     Raises
     ------
     IdentificationError, DataError
-        The excitations are correlated, there are too few realisations, or a shape, a value or an option is wrong.
+        The excitations are correlated, there are too few realisations, or a shape, a value or an option is invalid.
 
     Examples
     --------
