@@ -587,7 +587,7 @@ class TimeSearch(ModalSearch):
         return np.ascontiguousarray(self._filtered(values)).view(complex)
 
     def _late(self, delay: float) -> tuple[np.ndarray, float]:
-        """Return the input, delayed by 1 + the whole samples of a delay [s], and the remaining fraction of a sample."""
+        """Return the input, delayed by one sample plus the whole samples of a delay [s], and the remaining fraction."""
         whole = int(np.floor(delay / self.T + 1e-9))
         count = min(whole + 1, len(self._w))
         return np.append(np.zeros(count), self._w[: len(self._w) - count]), max(delay / self.T - whole, 0.0)
@@ -613,7 +613,7 @@ class TimeSearch(ModalSearch):
         whitening = _whitening(self.residual(structure, values))
         self._filter_by(whitening)
         size = np.abs(self.residual(structure, values))
-        # outliers are isolated; where the model is wrong, as at a resonance, neighbouring samples are large, too
+        # outliers are isolated; where the model is wrong, as at a resonance, neighbouring residuals are large too
         around = scipy.ndimage.median_filter(size, AROUND)
         self._filter_by(whitening, size <= FAR * np.maximum(around, np.median(size)))
         # the search ends when the gradient is small, so the residual is scaled to a standard deviation of 1

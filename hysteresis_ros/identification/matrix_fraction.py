@@ -320,7 +320,7 @@ def _deviation(data):
 
 
 def _gramian(A, B):
-    # the direct method would solve n² simultaneous equations, and is ill-conditioned for poles near the unit circle
+    # not the direct method: it solves n² simultaneous equations, and is ill-conditioned for poles near the unit circle
     return scipy.linalg.solve_discrete_lyapunov(A, B @ B.T, method="bilinear")
 
 

@@ -221,8 +221,8 @@ def _jittering(time, median):
     beside = float(np.quantile(np.abs(distances - whole * median), 0.99))
     if beside > GRID_TOLERANCE * median:
         yield (
-            f"samples jitter by {readable(beside, 's')} (99 % of the intervals) at {readable(median, 's')}: shorter "
-            "lags cannot be identified"
+            f"samples jitter by {readable(beside, 's')} (99 % of the intervals) at {readable(median, 's')}: lags "
+            "shorter than this jitter cannot be identified"
         )
 
 

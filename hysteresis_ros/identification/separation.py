@@ -49,7 +49,7 @@ TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
 #: Fraction of the samples, those with the largest errors (possibly outliers), that the comparison of histories omits.
 TRIMMED = 0.1
-#: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
+#: A recording is bipolar if its voltage goes below 0 V by more than this fraction of the largest magnitude.
 BIPOLAR = 0.1
 #: A start at rest is accepted if the error at the beginning is at most AS_WELL times the error of the remaining
 #: samples, or, for models whose fit needs the beginning, at most the fraction AT_REST of the stroke.
@@ -61,7 +61,7 @@ AS_WELL, AT_REST = 1.5, 0.01
 REMANENT, EXPLAINED = 0.8, 3.0
 #: Assumed: if more than this fraction of the recording would be omitted, a start at rest is tried first.
 MOST_OMITTED = 0.3
-#: A recording is closed if input and output return to their start within this fraction of their range.
+#: A recording is closed if input and output end within this fraction of their range from their first values.
 CLOSED_PART = 0.02
 
 

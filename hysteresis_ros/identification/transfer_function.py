@@ -218,7 +218,7 @@ def fit_transfer_function(
 
 
 class _Problem:
-    """Residual of the fit, in scaled units, as a function of the logarithms of the coefficients α and β."""
+    """Residual of the fit in scaled units, as a function of the logarithms of the coefficients α and β."""
 
     def __init__(self, u, y, sample_time: float, structure: Structure, skip: int):
         self.u, self.y, self.sample_time, self.structure, self.skip = u, y, sample_time, structure, skip

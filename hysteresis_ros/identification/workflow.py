@@ -310,7 +310,7 @@ class Identified(Compared):
 
     @property
     def converged(self) -> bool:
-        """Whether the fit converged; if not, the result is the best point that the fit found."""
+        """Whether the fit converged; if not, the result is the best point found."""
         return self.identification.converged
 
     @property
