@@ -342,7 +342,7 @@ def certain_design(
     known = response.assumption(sample_time)
     limited = certain.frequency > response.crossover
     if not limited and (certain.frequency <= response.known_to or not known):
-        known = f"the response is known only to {100.0 * certain.uncertainty:.0f} % at this frequency"
+        known = f"the response is known only to within {100.0 * certain.uncertainty:.0f} % at this frequency"
     if first.parameters.type != "pid":
         advice += ", choose another controller (pid)"
     raise ConfigurationError(

@@ -145,9 +145,7 @@ def identify_matrix_fraction(
         )
     highest = max(len(item.models) for item in candidates)
     if order is not None and not 1 <= order <= highest:
-        raise FitError(
-            f"order = {order}: must be within 1 … {highest}, the limit for degree {degree} and this number of lines"
-        )
+        raise FitError(f"order = {order}: must be within 1 … {highest}, the limit for this degree and number of lines")
     orders = np.arange(1, highest + 1)
     best = [min((c for c in candidates if len(c.models) >= n), key=_misfit_with(int(n))) for n in orders]
     misfit = np.array([candidate.misfits[int(n) - 1] for n, candidate in zip(orders, best, strict=True)])

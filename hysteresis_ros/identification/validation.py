@@ -241,7 +241,7 @@ def parameter_covariance(
     length = np.linalg.norm(J, axis=0)
     if np.any(length == 0.0):
         if truncated is None:
-            raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
+            raise DataError("rank", f"parameter {int(np.argmin(length)) + 1} of {d} has no influence on the prediction")
         length[length == 0.0] = 1.0
     _, values, Vt = np.linalg.svd(J / length, full_matrices=False)
     known = values > (truncated or 1e-12) * values[0]

@@ -525,12 +525,12 @@ def _judged(gains: PidParameters, dynamics, sample_time: float, plants, **option
 @functools.lru_cache(maxsize=4)  # a search over bandwidths needs the same gain each time
 def _largest(given: PidParameters, dynamics, sample_time: float, plants, aimed: Requirements) -> float:
     """Return the largest gain g of the numerator with which the requirements are met on all plants."""
-    gains, leading = _cancelling(given, dynamics, sample_time), dynamics.matrices.dc_gain
+    gains = _cancelling(given, dynamics, sample_time)
 
     def judged(g):
         return _judged(gains(g), dynamics, sample_time, plants, required=aimed, with_bandwidth=False)
 
-    return _largest_gain(judged, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
+    return _largest_gain(judged, aimed, dynamics)
 
 
 def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
@@ -538,7 +538,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
 
     ParameterError: there is no such gain.
     """
-    plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
+    plant = plant_state_space(dynamics, scaled=False)
 
     def gains(Ki):
         return replace(given, Kp=0.0, Ki=Ki, Kd=0.0, roll_off=0.0)
@@ -546,11 +546,13 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
     def judged(Ki):
         return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time, with_bandwidth=False)
 
-    return gains(_largest_gain(judged, CALM, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
+    return gains(_largest_gain(judged, CALM, dynamics))
 
 
-def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
+def _largest_gain(judged, required: Requirements, dynamics) -> float:
     """Return the largest gain g for which g and all smaller gains meet the requirements."""
+    leading = dynamics.matrices.dc_gain
+    sign, start = 1.0 if leading > 0.0 else -1.0, 1.0 / abs(leading)
 
     def good(g):
         return judged(sign * g).meets(required)
@@ -561,7 +563,7 @@ def _largest_gain(judged, required: Requirements, sign: float, start: float) -> 
         if low < 1e-9 * start:
             state_feedback.refuse(
                 "model.dynamics.A",
-                None,
+                dynamics.A,
                 "no PID that cancels the slowest poles has the required margins; choose another controller",
             )
     high = 2.0 * low
