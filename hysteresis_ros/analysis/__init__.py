@@ -9,7 +9,7 @@
 
 """Evaluation of a run: figures of merit, charts, reports. Matplotlib and Jinja2 are imported only here, at first use.
 
-Read ``metrics`` (the figures) and ``parts`` (the parts of a run for which figures are computed) first, then
-``run_charts`` and ``report``, which draw with ``plots`` and ``page``. ``inchworm`` and ``inchworm_report`` do the same
-for inchworm motors.
+Read first ``metrics`` (the figures) and ``parts`` (the parts of a run, each with its own figures), then ``run_charts``
+and ``report``, which draw with ``plots`` and ``page``. ``inchworm`` and ``inchworm_report`` do the same for inchworm
+motors.
 """

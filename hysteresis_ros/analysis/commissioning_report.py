@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report page of a commissioning: findings and charts of every step, given as data that JSON can store."""
+"""The report page of a commissioning: results and charts of every step, from data that JSON can store."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hysteresis_ros import __version__
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
 
-#: Largest number of points stored for a line.
+#: Maximum number of stored points of a line.
 POINTS = 3000
 #: Colours of the lines, in order.
 COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
@@ -29,7 +29,7 @@ COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a figure, as data."""
+    """Data of one line in a figure."""
 
     label: str
     x: list[float]
@@ -38,9 +38,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of lines, as data."""
+    """Data of a figure with lines."""
 
-    caption: str  #: caption, across, up: Caption of the figure, and labels of its axes with units.
+    caption: str  #: caption, across, up: Caption of the figure; labels of its horizontal and vertical axis, with units.
     across: str
     up: str
     lines: list[Line]
@@ -49,7 +49,7 @@ class Picture:
 
 
 def line(label: str, x, y) -> Line:
-    """Return a curve for a chart, decimated to at most :data:`POINTS` points."""
+    """Return a line, decimated to at most :data:`POINTS` points; points with a value that is not finite are omitted."""
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]
@@ -60,7 +60,7 @@ def line(label: str, x, y) -> Line:
 
 
 def picture_figure(picture: Picture):
-    """Return the Matplotlib figure of a picture."""
+    """Draw a picture with Matplotlib and return the figure."""
     figure, (axis,) = new_figure(5.0 if picture.equal else 3.4)
     for number, one in enumerate(picture.lines):
         width = 1.8 if number == 0 and len(picture.lines) > 1 else 1.0
@@ -76,7 +76,7 @@ def picture_figure(picture: Picture):
 
 
 class Found(Protocol):
-    """Results of a step, in the form that the page needs."""
+    """Results of a step that the page shows."""
 
     lines: list[str]
     figures: dict

@@ -34,11 +34,11 @@ from hysteresis_ros.units import bare_name, figure_name, readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
-#: Largest number of samples drawn for a loop.
+#: Maximum number of samples drawn in a loop.
 LOOP_POINTS = 20000
-#: Fraction of the held-out realisation that is drawn in detail.
+#: The beginning of the held-out realisation is drawn in detail: this fraction of it.
 DETAIL = 0.05
-#: Rows of the table: name, label, unit, factor from the SI unit.
+#: Rows of the table: name, label, unit, factor that converts from the SI unit.
 ROWS = (
     ("rmse_m", "RMS error of the prediction", "µm", 1e6),
     ("rmse_percent_of_stroke", "RMS error", "% of stroke", 1.0),
@@ -47,10 +47,10 @@ ROWS = (
     ("fpe_m2", "Final prediction error", "µm²", 1e12),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("offset_m", "Constant removed", "µm", 1e6),
-    ("inverse_rmse_v", "RMS error of the voltage from the inverse", "V", 1.0),
-    ("inverse_rmse_percent", "RMS error of that voltage", "% of its range", 1.0),
+    ("inverse_rmse_v", "RMS error of the inverse's voltage", "V", 1.0),
+    ("inverse_rmse_percent", "RMS error of the inverse's voltage", "% of its range", 1.0),
     ("samples", "Samples compared", "", 1),
-    ("skipped", "Samples left out at the start", "", 1),
+    ("skipped", "Samples omitted at the start", "", 1),
     ("lag_s", "Lag", "ms", 1e3),
     ("delay_s", "Delay", "ms", 1e3),
     ("creep_rate_per_decade", "Creep per decade", "% of the step", 100.0),
@@ -97,14 +97,14 @@ def _write(path, title: str, found: Compared, plots, stated) -> None:
 
 
 def _own_unit(unit: str, factor: float, units: tuple[str, str]) -> tuple[str, float]:
-    """Return unit and factor of a row for a recording in ``units``; µm and V are only for lengths and voltages."""
+    """Return unit and factor of a row for a recording in ``units``; µm applies only to metres, V only to volts."""
     if unit.startswith("µm") and units[1] != "m":
         return units[1] + unit.removeprefix("µm"), 1.0
     return (units[0], 1.0) if unit == "V" else (unit, factor)
 
 
 def _output_axis(data: IdentificationData, largest: float | None = None) -> tuple[str, str, float]:
-    """Return name, unit and factor for the axis of an output; if ``largest`` is small, lengths are drawn in nm."""
+    """Return name, unit and factor for the axis of an output; lengths are drawn in nm if ``largest`` [m] is small."""
     if data.output_unit != "m":
         return bare_name(data.output_name), data.output_unit, 1.0
     return ("displacement", *(("µm", 1e6) if largest is None else length_unit(largest)))
@@ -119,15 +119,15 @@ def _plots(found: Compared) -> list:
     plots = [
         (f"Measured and predicted {_output_axis(data)[0]}", traces_figure(data, predicted, errors)),
         ("Residual (measured − predicted)", residual_figure(data, errors)),
-        (f"Loops, and the residual over the {_input_name(data)}", loops_figure(data, predicted, errors)),
+        (f"Loops, and the residual versus the {_input_name(data)}", loops_figure(data, predicted, errors)),
         (
-            f"Correlations of the residual, with bounds of {100 * errors.autocorrelation.confidence:g} % for each lag",
+            f"Correlations of the residual, with {100 * errors.autocorrelation.confidence:g} % bounds for each lag",
             correlations_figure(errors),
         ),
     ]
     if found.inverse is not None:
         name = _input_name(data)
-        caption = f"{name.capitalize()} that the inverse computes from the {_output_axis(data)[0]} − applied {name}"
+        caption = f"{name.capitalize()} computed by the inverse from the {_output_axis(data)[0]}, minus applied {name}"
         plots.append((caption, inverse_figure(data, found.inverse)))
     return plots
 
@@ -197,7 +197,7 @@ def _correlation(axis, title: str, test: CorrelationTest) -> None:
 
 
 def inverse_figure(data: IdentificationData, inverse: InverseValidation):
-    """Return the figure of the error of the input that the inverse computes, over time [mV or the input's unit, s]."""
+    """Return the figure of the inverse's input error over time [mV or the input's unit, s]."""
     figure, (axis,) = new_figure(2.6)
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     time = data.time[data.time.size - inverse.error.size :]
@@ -228,7 +228,7 @@ class Held(Protocol):
 
 
 class ShownStage(Protocol):
-    """The data of an identified stage that the page needs."""
+    """Data of an identified stage that the page shows."""
 
     responses: tuple[ResponseMatrix, ...]
     structure: np.ndarray
@@ -244,7 +244,7 @@ class ShownStage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoops:
-    """Responses of the closed loops from references to displacements."""
+    """Responses of the closed loops, from the references to the displacements of all axes."""
 
     frequency: np.ndarray  #: shape (F,) [Hz]
     response: np.ndarray  #: shape (F, n, n)
@@ -341,14 +341,14 @@ def _stage_plots(names: Sequence[str], found: ShownStage, closed: ClosedLoops | 
     for name, one in zip(names, found.loops, strict=True):
         if one is not None:
             figure = loops_figure(one.data, one.predicted, one.validation)
-            plots.append((f"Loops of {name}, and the residual over the voltage", figure))
+            plots.append((f"Loops of {name}, and the residual versus the voltage", figure))
     if closed is not None:
         plots.append(("Closed loops: from each reference to each axis", closed_figure(names, closed)))
     return plots
 
 
 def held_out_figure(held: Held, output: int):
-    """Return the figure of the held-out realisation: its beginning in detail, and its whole residual."""
+    """Return the figure of the held-out realisation: the beginning in detail, and the residual of the whole."""
     figure, (detail, residual) = new_figure(3.2, 2)
     count = max(int(DETAIL * len(held.time)), 2)
     measured, predicted = held.measured[:, output], held.predicted[:, output]
@@ -366,12 +366,12 @@ def held_out_figure(held: Held, output: int):
 
 
 def closed_figure(names: Sequence[str], closed: ClosedLoops):
-    """Return the figure of the closed loops: how the reference of each axis moves this axis and the others."""
+    """Return the figure of the closed loops: how the reference of an axis moves this axis and the other axes."""
     figure, (axis,) = new_figure(4.0)
     for j, reference in enumerate(names):
         for i, name in enumerate(names):
             own = i == j
-            label = f"{name}" if own else f"{name} from the reference of {reference}"
+            label = f"{name}" if own else f"{name}, response to the reference of {reference}"
             style = dict(linewidth=1.6) if own else dict(linewidth=0.9, linestyle="--")
             axis.plot(closed.frequency, np.abs(closed.response[:, i, j]), label=label, **style)
     axis.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel="gain [m/m]")

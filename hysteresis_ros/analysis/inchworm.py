@@ -29,10 +29,10 @@ REQUIRED = (
     *("phase", "steps", "total_steps", "step_commanded", "step_achieved", "slip", "arrived", "missed"),
     *("front_voltage", "rear_voltage"),
 )
-#: Signals that only the run of an inchworm motor has.
+#: Signals that occur only in the run of an inchworm motor.
 DISTINCTIVE = ("phase", "total_steps", "step_achieved", "front_voltage", "rear_voltage")
 
-#: Default tolerance [m]: a run counts as beginning at rest if its start is this close to the first setpoint.
+#: Default tolerance [m]: a run begins at rest if the slider starts within this distance of the first setpoint.
 TOLERANCE = 10.0e-9
 
 
@@ -40,13 +40,13 @@ TOLERANCE = 10.0e-9
 class Steps:
     """The steps of a run, in order."""
 
-    index: np.ndarray  #: shape (S,); Sample at which the sequencer evaluated each step.
+    index: np.ndarray  #: shape (S,); Sample in which the sequencer evaluated the step.
     time: np.ndarray  #: shape (S,); Time of that sample [s].
     direction: np.ndarray  #: shape (S,); +1 forward, -1 backward.
     #: commanded, achieved: shape (S,); Step lengths [m], negative backward; ``achieved`` is measured at the slider.
     commanded: np.ndarray
     achieved: np.ndarray
-    slip: np.ndarray  #: shape (S,); Extension minus the slider's movement in the step's direction [m].
+    slip: np.ndarray  #: shape (S,); Slip: extension minus movement of the slider in the direction of the step [m].
     missed: np.ndarray  #: shape (S,); Whether the sequencer counted the step as missed.
 
     @property
@@ -55,7 +55,7 @@ class Steps:
         return self.slip + self.direction * self.achieved
 
     def between(self, first: int, last: int) -> Steps:
-        """Return the steps that were evaluated at the samples ``first`` ≤ k < ``last``."""
+        """Return the steps that were evaluated in the samples ``first`` ≤ k < ``last``."""
         chosen = (self.index >= first) & (self.index < last)
         return Steps(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
@@ -68,7 +68,8 @@ class Move:
     last: int
     kind: str  #: ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
     goal: float | None  #: Requested position [m]; None if the request states no position.
-    #: Sample from which the sequencer reports arrival until the end of the move; None: no arrival.
+    #: First sample of the arrival that the sequencer reports without interruption until the end of the move; None: no
+    #: arrival.
     arrival: int | None
 
 
@@ -76,15 +77,15 @@ class Move:
 class InchwormRun:
     """The run of an inchworm motor, prepared for evaluation: samples with a missing signal are omitted."""
 
-    #: time, setpoint, slider: shape (N,) [s], [m], and the displacement of the slider [m]: the true one, or the
-    #: measured one when the true one is unknown.
+    #: time, setpoint, slider: shape (N,); Time [s], setpoint [m], and displacement of the slider [m]: the true one or,
+    #: if it is unknown, the measured one.
     time: np.ndarray
     setpoint: np.ndarray
     slider: np.ndarray
     signals: dict  #: shape (N,); All signals.
     steps: Steps
     moves: tuple
-    gait: GaitParameters | None  #: Gait of the configuration.
+    gait: GaitParameters | None  #: Gait in the recorded configuration.
     tolerance: float  #: Distance from the setpoint at which the motor has arrived [m].
     notes: tuple  #: Notes for the reader.
 
@@ -110,7 +111,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
         notes.append("no true displacement: errors are computed from the measured displacement")
     good = np.all([np.isfinite(recording[name]) for name in ("setpoint", actual, *REQUIRED)], axis=0)
     if not np.any(good):
-        raise RecordingError("no sample of the recording has all the signals of an inchworm")
+        raise RecordingError("no sample of the recording has all the signals of an inchworm motor")
     signals = {name: values[good] for name, values in recording.signals.items()}
     time = recording.time[good]
     parameters = settings or _parameters(recording)
@@ -123,7 +124,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
 
 
 def find_steps(time, signals) -> Steps:
-    """Return the steps of a run, from the samples at which ``total_steps`` grows and the sequencer's signals there."""
+    """Return the steps of a run: the sequencer's signals in the samples in which ``total_steps`` grows."""
     index = np.flatnonzero(np.diff(signals["total_steps"]) > 0.0) + 1
     return Steps(
         index,
@@ -137,9 +138,9 @@ def find_steps(time, signals) -> Steps:
 
 
 def find_moves(signals, slider, tolerance: float, home: float | None = None) -> tuple[Move, ...]:
-    """Return the moves of a run; each move lasts from a new setpoint, request or speed to the next one.
+    """Return the moves of a run; each move lasts from a change of setpoint, speed or request to the next change.
 
-    The part of a run before the first request is a move, unless the slider is already at the setpoint.
+    The part of a run before the first change is a move too, unless the slider is already at the setpoint.
 
     Units: ``slider`` [m], ``tolerance`` [m], ``home`` [m].
     """
@@ -173,14 +174,14 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
 
 
 def _arrival(arrived, first: int, last: int) -> int | None:
-    """Return the sample from which ``arrived`` stays 1 until ``last``."""
+    """Return the first sample from which ``arrived`` remains 1 until ``last``; None: it is not 1 at the end."""
     away = np.flatnonzero(arrived[first:last] != 1.0)
     start = first + (int(away[-1]) + 1 if away.size else 0)
     return start if start < last else None
 
 
 def _described(recording: Recording) -> bool:
-    """Return whether the configuration has a section for the sequencer itself, not only values for all nodes."""
+    """Return whether the configuration has a section of the sequencer; values for all nodes do not suffice."""
     return described(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
 
 
@@ -197,10 +198,10 @@ def _parameters(recording: Recording):
         return None
 
 
-#: A step is a full step if it extends by at least this fraction of the median extension in its move.
+#: A step is a full step if its extension is at least this fraction of the median extension in the same move.
 FULL_PART = 0.95
 
-#: Figures of a move: name, label, displayed unit, factor from the SI unit.
+#: Figures of a move: name, label, displayed unit, factor that converts from the SI unit.
 MOVE_FIGURES = (
     ("start_s", "given at", "s", 1.0),
     ("setpoint_m", "setpoint", "mm", 1e3),
@@ -228,9 +229,9 @@ RUN_FIGURES = (
     ("step_error_std_m", "Step length, commanded − achieved, 1 σ", "nm", 1e9),
     ("slip_m", "Slip, all steps", "µm", 1e6),
     ("slip_percent", "Slip", "% of extension", 1.0),
-    ("clamp_voltage_v", "Higher of the clamp voltages, minimum", "V", 1.0),
-    ("clamp_threshold_v", "Lowest voltage of a closed clamp", "V", 1.0),
-    ("clamp_force_n", "Larger of the clamp forces, minimum", "N", 1.0),
+    ("clamp_voltage_v", "Minimum of the higher clamp voltage", "V", 1.0),
+    ("clamp_threshold_v", "Threshold voltage of a closed clamp", "V", 1.0),
+    ("clamp_force_n", "Minimum of the larger clamp force", "N", 1.0),
     ("gait_speed_m_s", "Speed of the gait", "µm/s", 1e6),
     ("stroke_m", "Stroke of the gait", "µm", 1e6),
     ("period_s", "Period of the gait", "ms", 1e3),
@@ -247,8 +248,8 @@ COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
 def inchworm_figures(recording: Recording) -> dict:
     """Return the figures of merit of an inchworm motor's run.
 
-    A *move* lasts from a new setpoint (request, speed) to the next one. q is the slider's true displacement, or the
-    measured displacement if the notes of the recording say so.
+    A *move* lasts from a change of setpoint, speed or request to the next change. q is the slider's true displacement;
+    it is the measured displacement if the notes of the recording state this.
 
     ============================== ===================================================================================
     ``start_s``, ``setpoint_m``    time of the request and requested position (None: no position)
@@ -296,7 +297,7 @@ def format_inchworm(figures: dict) -> str:
     rows = [("Move", [str(i + 1) for i in range(len(moves))], ""), ("outcome", [m["outcome"] for m in moves], "")]
     for name, label, unit, factor in MOVE_FIGURES:
         rows.append((label, [format_value(move[name], factor) for move in moves], unit))
-    lines = aligned(rows) if moves else ["no moves: the run has no request"]
+    lines = aligned(rows) if moves else ["no moves: the recording contains no request"]
     lines.append("")
     of_run = []
     for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES)):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of an inchworm motor's run with its plots: travel [mm], gait [µm, V, N], arrival [nm]."""
+"""The report of an inchworm motor's run, with plots of travel [mm], gait [µm, V, N] and arrival [nm]."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from hysteresis_ros.analysis.tables import format_value, shown_row
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
-#: Number of steps that are shown individually.
+#: Number of steps drawn in detail.
 SHOWN_STEPS = 3
-#: Largest number of moves whose arrival is shown; the first moves are shown.
+#: Maximum number of arrivals shown: those of the first moves.
 SHOWN_MOVES = 40
-#: Times before and after the arrival that are shown [s].
+#: Time shown before and after an arrival [s].
 BEFORE, AFTER = 0.1, 0.15
 #: Number of bars of a histogram.
 BARS = 60
@@ -57,7 +57,7 @@ ACTIVITIES = {
     "stopping": ("#f7b5b0", (at.STOPPING,)),
     "released": ("#dddddd", (at.RELEASED,)),
 }
-#: A hold between the steps of a walk belongs to the walk if it is shorter than this [s].
+#: A pause between the steps of a walk belongs to the walk if it is shorter than this [s].
 PAUSE = 0.05
 
 _SETPOINT, _SLIDER, _EXTENDER, _REFERENCE = "#444444", "#d1495b", "#1f6f8b", "#9a9a9a"
@@ -79,7 +79,7 @@ def travel_figure(run: InchwormRun):
 
 
 def gait_figure(run: InchwormRun):
-    """Return the figure of a few steps: slider and extender [µm], voltages [V], clamp forces [N] over time [ms]."""
+    """Return the figure of a few steps over time [ms]: slider and extender [µm], voltages [V], clamp forces [N]."""
     forces = "front_force" in run.signals and "rear_force" in run.signals
     figure, axes = new_figure(7.4 if forces else 5.4, rows=3 if forces else 2)
     shown = steps_window(run)
@@ -108,7 +108,7 @@ def gait_figure(run: InchwormRun):
 
 
 def arrival_figure(run: InchwormRun):
-    """Return the figure of the end of each move: the last micrometres and the last nanometres [µm, nm, ms]."""
+    """Return the figure of the end of each move, on a scale of micrometres and on one of nanometres [µm, nm, ms]."""
     figure, (coarse, fine) = new_figure(4.0, 2)
     moves = [move for move in run.moves if move.arrival is not None][:SHOWN_MOVES]
     thin = 1.3 if len(moves) < 6 else 0.7
@@ -166,7 +166,7 @@ def step_length_figure(run: InchwormRun):
                 style = dict(histtype="step", color=colour, linewidth=1.6, label=f"achieved, {label}")
                 lengths.hist(chosen, edges, **style)
         difference = steps.direction * (steps.commanded - steps.achieved) * 1e9
-        # otherwise outliers (missed grips, the first step) would put all other steps into one bar
+        # with outliers (missed grips, the first step) in the range, all other steps would fall into one bar
         middle = np.median(difference)
         spread = max(float(np.median(np.abs(difference - middle))), 1e-3)
         low, high = _span(np.clip(difference, middle - 6.0 * spread, middle + 6.0 * spread))
@@ -212,7 +212,7 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
-#: Interactive charts that a page without scripts replaces by a more detailed picture: name, caption, picture.
+#: Interactive charts that the page shows as a more detailed picture if scripts are disabled: name, caption, picture.
 IN_THE_PLACE = (
     ("travel", "Position over time", travel_figure),
     ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),
@@ -221,7 +221,7 @@ IN_THE_PLACE = (
 INCHWORM_PLOTS = (
     (f"{SHOWN_STEPS} steps: positions, voltages and clamp forces", gait_figure),
     ("Arrival: the last micrometres and the last nanometres", arrival_figure),
-    ("Length of the steps (the outermost bars on the right include all steps beyond)", step_length_figure),
+    ("Length of the steps (the last bar on the right includes all longer steps)", step_length_figure),
     ("Slip and missed grips", slip_figure),
 )
 
@@ -252,7 +252,7 @@ def inchworm_charts(run: InchwormRun) -> list[Chart]:
 
 
 def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
-    """Return the samples of ``count`` steps in the middle of the move with most steps, or of a run without moves."""
+    """Return the samples of ``count`` steps in the middle of the move with most steps; without moves, of the run."""
     parts = [run.steps.between(move.first, move.last).index for move in run.moves] or [run.steps.index]
     index = max(parts, key=len)
     if len(index) < 2:
@@ -264,7 +264,7 @@ def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
 
 
 def draw_steps(axis, run: InchwormRun, shown: slice) -> None:
-    """Draw slider and extender at the samples ``shown``, relative to their first values [µm, ms]."""
+    """Draw slider (relative to its first value) and extender in the samples ``shown`` [µm, ms]."""
     time = _milliseconds(run, shown)
     slider = run.slider[shown]
     axis.plot(time, (slider - slider[0]) * 1e6, color=_SLIDER, linewidth=1.8, label="slider", zorder=4)
@@ -277,7 +277,7 @@ def draw_steps(axis, run: InchwormRun, shown: slice) -> None:
 
 
 def draw_phases(axis, run: InchwormRun, shown: slice, labels: bool = True) -> None:
-    """Draw the phases at the samples ``shown`` as bands, with a legend above the axis [ms]."""
+    """Draw the phases in the samples ``shown`` as bands [ms], with a legend above the axes."""
     phase, time = run.signals["phase"][shown], _milliseconds(run, shown)
     bands = {}
     for first, last, code in _stretches(phase):
@@ -293,7 +293,7 @@ def draw_phases(axis, run: InchwormRun, shown: slice, labels: bool = True) -> No
 
 
 def draw_activities(axis, run: InchwormRun) -> None:
-    """Draw walking, fine positioning, stops and releases as bands [s]; pauses between steps count as walking."""
+    """Draw walking, fine positioning, stops and releases as bands [s]; short pauses between steps count as walking."""
     codes = np.zeros(len(run.time))
     for number, (_, phases) in enumerate(ACTIVITIES.values(), 1):
         codes[np.isin(run.signals["phase"], list(phases))] = number
@@ -321,7 +321,7 @@ def _milliseconds(run: InchwormRun, shown: slice):
 
 
 def _span(values) -> tuple[float, float]:
-    """Return a range around ``values`` that is not empty."""
+    """Return a range slightly wider than that of ``values``, never of width 0."""
     low, high = float(np.min(values)), float(np.max(values))
     room = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room

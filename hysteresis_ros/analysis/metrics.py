@@ -9,8 +9,7 @@
 
 """Figures of merit of a run in SI units; :func:`compute_metrics` defines each figure.
 
-The configuration in the recording states the reference and the limits with which the figures are computed
-(:class:`AxisSettings`).
+The recorded configuration determines the reference and the limits used for the figures (:class:`AxisSettings`).
 """
 
 from __future__ import annotations
@@ -45,21 +44,20 @@ from hysteresis_ros.units import readable
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """Settings of the axis on which the figures of merit depend."""
+    """Settings of the axis that determine its figures of merit."""
 
-    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has no limits
-    #: [V].
+    #: voltage_minimum, voltage_maximum: Limits of the compensator [V]; without them, the limits of the plant.
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model [m]; the reference does not contain it.
-    #: preview: Number of samples by which the recorded reference is ahead of the reference that the axis follows.
-    #: learned_preview: feedforward.preview of an axis that learns; such an axis follows the undelayed reference.
+    #: preview: Delay with which the axis follows the recorded reference [samples].
+    #: learned_preview: feedforward.preview of an axis that learns, and so follows the undelayed reference.
     preview: int = 0
     learned_preview: int = 0
 
     @property
     def reference(self) -> str:
-        """The reference against which errors are computed; empty for an axis without preview."""
+        """The reference of the errors, in words; empty for an axis without preview."""
         if self.learned_preview:
             return "the undelayed reference"
         return f"the reference delayed by {self.preview} samples" if self.preview else ""
@@ -68,13 +66,13 @@ class AxisSettings:
 def reference_delay(preview: int, learning: str) -> int:
     """Return the delay [samples] with which an axis follows its reference: its preview, or 0 if it learns.
 
-    ``learning`` is the value of ``learning.type``: learning removes the error against the undelayed reference.
+    ``learning`` is ``learning.type``. Learning removes the error against the undelayed reference.
     """
     return preview if learning == "none" else 0
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
-    """Return the settings in the recording's configuration; settings that it lacks are None or 0."""
+    """Return the settings in the recorded configuration; missing settings are None or 0."""
     text, namespace = recording.configuration, str(recording.metadata.get("namespace", ""))
     limits = {
         **_group(configured(text, "plant_simulator", namespace), "limits."),
@@ -97,13 +95,13 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
     """Return the reference with which the displacement is compared, shape (N,) [m].
 
     With a preview of P samples, this is the recorded reference delayed by P samples, unless the axis learns to follow
-    it without delay (:func:`reference_delay`). Before the recording, the reference is assumed to equal its first value.
-    A value is NaN if the sample P samples earlier is missing, or is outside an excerpt.
+    it without delay (:func:`reference_delay`). The reference before the recording is assumed to equal the first
+    recorded value. A value is NaN if the sample P samples earlier is missing or not in an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
         return reference
-    # shifted by time and not by index, because samples may be missing
+    # shifted by time, because samples may be missing
     numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
     places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
     found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
@@ -112,7 +110,7 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
 
 
 def delayed(reference, preview: int) -> np.ndarray:
-    """Return the reference to follow at each sample if the received reference is ``preview`` samples ahead.
+    """Return the reference delayed by ``preview`` samples, which an axis with this preview follows.
 
     Units: ``reference`` [m].
     """
@@ -155,15 +153,15 @@ TIMELINESS = (
     ("skipped_samples", "Skipped samples", "", 1.0),
 )
 
-#: All figures in the order of the tables: name, label, displayed unit, factor from the SI unit.
+#: All figures in the order of the tables: name, label, displayed unit, factor that converts from the SI unit.
 FIGURES = (
     ("rms_error_m", "RMS error", "µm", 1e6),
     ("rms_error_percent_of_stroke", "RMS error", "% of stroke", 1.0),
     ("max_error_m", "Maximum error", "µm", 1e6),
     ("max_error_percent_of_stroke", "Maximum error", "% of stroke", 1.0),
-    ("disturbed_percent", "Samples disturbed by skipped ones", "% of samples", 1.0),
-    ("undisturbed_rms_error_m", "RMS error without spans after skipped samples", "µm", 1e6),
-    ("undisturbed_max_error_m", "Maximum error without spans after skipped samples", "µm", 1e6),
+    ("disturbed_percent", "Samples disturbed by skipped samples", "% of samples", 1.0),
+    ("undisturbed_rms_error_m", "RMS error without the disturbed samples", "µm", 1e6),
+    ("undisturbed_max_error_m", "Maximum error without the disturbed samples", "µm", 1e6),
     ("iae_m_s", "IAE", "µm s", 1e6),
     ("overshoot_percent", "Overshoot", "%", 1.0),
     ("settling_time_s", "Settling time (2 %)", "ms", 1e3),
@@ -193,7 +191,7 @@ def axes_figures(recording: Recording) -> dict[str, dict]:
     """Return the figures of merit of each axis of a stage, by the name of the axis.
 
     All axes are evaluated from the time at which the last axis begins its scan
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis that holds its position is evaluated while the
+    (:func:`hysteresis_ros.analysis.parts.scan_start`). So an axis that holds its position is evaluated only while the
     others scan.
     """
     axes = {name: recording.axis(name) for name in recording.axes}
@@ -206,20 +204,19 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     """Return the figures of merit of a run.
 
     The error is e = reference - displacement. The displacement is the true displacement minus the preload offset W of
-    the controller's model. On hardware the measured displacement is used instead, and the notes of the recording say
-    so. With ``feedforward.preview`` every figure uses the reference delayed by that many samples, unless the axis
-    learns: then every figure uses the undelayed reference, and the notes give the RMS error against the delayed
-    reference. Samples without reference or displacement do not count. If a scan begins with a jump, errors are
-    evaluated from the reversal at which the axis begins to follow its reference
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, in which all samples count. Errors, steps,
-    loops and the residual omit the samples in which the axis is stopped
-    (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is the
-    range of the displacement.
+    the controller's model. If it is unknown, as on hardware, the measured displacement is used, and the notes of the
+    recording state this. With ``feedforward.preview`` every figure uses the reference delayed by that many samples,
+    unless the axis learns: then every figure uses the undelayed reference, and the notes give the RMS error against the
+    delayed reference. Samples without reference or displacement do not count. If a scan begins with a jump, errors are
+    evaluated from the reversal at which the axis begins to follow the reference
+    (:func:`hysteresis_ros.analysis.parts.scan_start`); in an excerpt all samples count. Errors, steps, loops and the
+    residual omit the samples in which the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`). Without a
+    reference there are no errors, and the stroke is the range of the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
     ``max_error_m``                         max abs(e)
-    ``…_percent_of_stroke``                 the same in % of the stroke
+    ``…_percent_of_stroke``                 the two errors in % of the stroke
     ``stroke_m``                            largest minus smallest reference of the run
     ``iae_m_s``                             ∫ abs(e) dt, trapezoidal
     ``overshoot_percent``                   farthest displacement beyond the value finally reached, in the direction of
@@ -233,8 +230,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``loop_width_percent``                  largest width of the loop displacement versus reference, in % of the stroke
     ``voltage_loop_width_percent``          the same, displacement versus voltage
     ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: a if u alternates
-                                            by ±a, 0 if u is smooth. The ten samples after a jump of the reference (its
-                                            movement per sample changes by a hundredth of the stroke) do not count
+                                            by ±a, 0 if u is smooth. Ten samples after each jump of the reference do not
+                                            count (jump: its movement per sample changes by over 1 % of the stroke)
     ``chattering_m_s``                      (Σ abs(u_k - u_(k-1)) - Σ abs(r_k - r_(k-1))) / duration, at least 0: the
                                             variation of the command that the reference does not explain
     ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (zeros do not count) minus
@@ -303,9 +300,9 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         notes |= {name: NOT_JUDGED[Kind.SHUTDOWN] for name, *_ in FIGURES if name in _JUDGED}
     if judged.size < off.size:
         lost = float(np.sum(np.diff(time)[off[1:]]))
-        text = f"errors, steps and loops exclude {lost:.4g} s of shutdown: the axis was stopped"
+        text = f"errors, steps and loops exclude {lost:.4g} s of shutdown, in which the axis was stopped"
         if not stop_is_recorded(recording):
-            text += " (not recorded, but its voltage left a settled hold and then stayed constant)"
+            text += " (inferred: the voltage left a settled hold and then stayed constant)"
         notes["recording"] = [*notes["recording"], text]
     command, voltage = _signals(recording, good)
     figures.update(chattering_figures(time, reference, command, voltage, notes))
@@ -322,7 +319,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     return {"parts": each, **figures}
 
 
-#: Figures that do not include a shutdown.
+#: Figures that exclude a shutdown.
 _JUDGED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("overshoot_percent", "settling_time_s", "steady_state_error_m", "residual_m"),
@@ -346,7 +343,7 @@ def _residual_figure(run: _Tracked, stroke: float, notes: dict) -> dict[str, flo
     zero = [hold for hold in find_holds(run.reference) if abs(hold.level) <= 1e-9 * stroke]
     zero = [hold for hold in zero if np.any(np.abs(run.reference[: hold.start]) > 1e-9 * stroke)]
     if not zero:
-        notes["residual_m"] = "the reference does not return to zero and hold it"
+        notes["residual_m"] = "the reference does not return to zero and hold there"
         return {}
     return {"residual_m": float(np.mean(run.displacement[zero[-1].final]))}
 
@@ -362,7 +359,7 @@ def actual_name(recording: Recording) -> str:
 
 
 def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
-    """Return the figures of a run without a reference, for example of a run for an identification."""
+    """Return the figures of a run without a reference, for example one for an identification."""
     figures: dict = {name: None for name, *_ in FIGURES}
     notes["recording"] = [*notes["recording"], "no reference in the recording: the error is unknown"]
     for name in figures:
@@ -402,7 +399,7 @@ def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dic
 
 
 def _reference_note(recording: Recording, settings: AxisSettings, place, actual: str) -> list[str]:
-    """Return a note about the reference of the errors at the samples ``place``; empty without a preview."""
+    """Return a note that names the reference of the errors at the samples ``place``; empty without a preview."""
     if not settings.reference:
         return []
     text = f"errors are computed from {settings.reference}"
@@ -414,13 +411,14 @@ def _reference_note(recording: Recording, settings: AxisSettings, place, actual:
     if late.size:
         rms = readable(error_figures(late, 0.0)["rms_error_m"], "m")
         text += (
-            f"; against it delayed by {settings.learned_preview} samples (feedforward.preview) the RMS error is {rms}"
+            f"; against the reference delayed by {settings.learned_preview} samples (feedforward.preview) the RMS "
+            f"error is {rms}"
         )
     return [text]
 
 
 def _missing_note(recording: Recording, there) -> list[str]:
-    """Return a note about samples without a measurement, apart from skipped samples, if there are any."""
+    """Return a note about samples without a measurement, except skipped samples; empty if there are no others."""
     skipped = np.nan_to_num(recording["skipped"]) > 0.0 if recording.has("skipped") else np.zeros_like(there)
     absent = np.flatnonzero(~there & ~skipped)
     if not absent.size:
@@ -433,7 +431,7 @@ def _missing_note(recording: Recording, there) -> list[str]:
 
 
 def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict) -> dict:
-    """Return the errors outside the spans after skipped samples, and the fraction [%] of samples in these spans."""
+    """Return the errors of the undisturbed samples, and the fraction of disturbed samples [%]."""
     if not recording.has("skipped"):
         return {}
     error = run.reference - run.displacement
@@ -443,7 +441,7 @@ def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict
     span = disturbed(skipped, whole)[place]
     share = 100.0 * float(np.mean(span))
     if not np.any(span) or np.all(span):
-        why = "every sample is disturbed" if np.any(span) else "no sample was skipped, so none is disturbed"
+        why = "every sample is disturbed" if np.any(span) else "no sample was skipped"
         if np.any(skipped) and not np.any(span):
             why = "samples were skipped, but no evaluated sample is disturbed"
         notes |= {f"undisturbed_{name}_error_m": why for name in ("rms", "max")}
@@ -466,7 +464,7 @@ def error_figures(error, stroke: float) -> dict[str, float]:
 
 
 def absolute_integral(time, error) -> float:
-    """Return the integral of the absolute error [m s], by trapezoids.
+    """Return the integral of the absolute error [m s], by the trapezoidal rule.
 
     Units: ``time`` [s], ``error`` [m].
     """
@@ -481,7 +479,7 @@ def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
     each = [figures for figures in each if figures["steps"]]
     if not each:
         for name in ("overshoot_percent", "settling_time_s", "steady_state_error_m"):
-            notes[name] = "no steps from one hold of the reference to another"
+            notes[name] = "the reference has no step from one hold to another"
         return {"steps": 0}
     found: dict = {name: max(one[name] for one in each) for name in ("overshoot_percent", "steady_state_error_m")}
     found["steps"], unsettled = (sum(one[name] for one in each) for name in ("steps", "unsettled"))
@@ -504,7 +502,7 @@ def _loop_figures(run: _Tracked, start: int, voltage: np.ndarray | None, stroke:
             "includes the motion to the beginning of the scan, because the run has no loop after it"
         )
     if opening is None or stroke <= 0.0:
-        why = "no loop: the reference does not rise and fall over at least ten levels"
+        why = "no loop: the reference must rise and fall over at least ten levels"
         notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
         return figures
     figures["loop_width_percent"] = 100.0 * opening / stroke
@@ -566,14 +564,14 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
     flags = recording["saturated"] if recording.has("saturated") else np.zeros(0)
     flags = flags[np.isfinite(flags)]
     if not len(flags):
-        notes["saturated_percent"] = "the recording does not contain the compensator's saturation"
+        notes["saturated_percent"] = "the recording has no signal 'saturated' of the compensator"
         return None
     return 100.0 * float(np.mean(flags > 0.0))
 
 
 def sampling_figures(recording: Recording, notes: dict) -> dict:
     """Return number of samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
-    # not by sample_numbers, which refuses a time that is far too late
+    # computed here, because sample_numbers refuses a recording with a long pause
     slots = np.rint((recording.time[-1] - recording.time[0]) / recording.sample_time) if len(recording) > 1 else 0
     gaps = max(slots + 1 - len(recording), 0)
     figures: dict = {
@@ -611,12 +609,12 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: Limited output is reported if it lasts longer than this in total [s], or for more than this fraction of the run.
+#: Saturation is reported if it lasts longer than this in total [s], or for more than this fraction of the run.
 MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return for how long the output was limited, and why; empty up to :data:`MOMENT` and :data:`SHARE`."""
+    """Return how long the output was saturated, and why; empty up to :data:`MOMENT` and :data:`SHARE`."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0

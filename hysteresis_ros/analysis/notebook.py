@@ -40,7 +40,7 @@ MODEL_ROWS = (
     ("fit_percent", "fit", "%"),
     ("inverse_rmse_v", "RMS error of the inverse", "V"),
 )
-#: Largest number of warnings shown in one cell.
+#: Maximum number of warnings shown in one cell.
 MOST_WARNINGS = 3
 
 
@@ -79,7 +79,7 @@ def design_cell(title: str, margins: Margins, warnings: Iterable[str]) -> str:
 
 
 def _rows(figures: dict, declared: tuple[tuple[str, str, str], ...]) -> list[tuple[str, str]]:
-    """Return the table rows of those figures that have a value."""
+    """Return the table rows of the figures that have a value."""
     return [(label, readable(figures[name], unit)) for name, label, unit in declared if figures.get(name) is not None]
 
 

@@ -39,14 +39,14 @@ def render_page(template: str, **values) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    # no import statement, because the package itself imports this module
+    # an import of the package would be circular, because the package imports this module
     version = sys.modules[__name__.partition(".")[0]].__version__
     made = f"hysteresis_ros {version}, {_date(time.time())}"
     return environment.get_template(template).render(made=made, colours=COLOURS, **values)
 
 
 def asset(name: str) -> str:
-    """Return the text of an asset file that pages embed."""
+    """Return the text of a file that pages embed."""
     return (resources.files("hysteresis_ros.analysis") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -56,7 +56,7 @@ def _date(seconds: float) -> str:
 
 
 def origin(recording: Recording) -> str:
-    """Return the origin of a run: its axis, its file, and when it was recorded."""
+    """Return the origin of a run: axis, file, and time of the recording."""
     said = [
         f"Axis in namespace {recording.metadata.get('namespace') or '/'}",
         str(recording.metadata.get("source", "")),
@@ -81,22 +81,22 @@ def write_page(path, html: str) -> None:
     write_text(path, html, RecordingError)
 
 
-#: Largest number of points of the common time axis, and of any other line.
+#: Maximum number of points of the common time axis, and of any other line; a path has up to twice as many.
 TIME_POINTS, LINE_POINTS = 12000, 4000
 
 
 def packed(values, kind: str = "<f4") -> str:
-    """Return an array as text: its little-endian floats in base64."""
+    """Return an array as text: little-endian floats in base64."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
 def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
     """Return charts as data for the page.
 
-    Charts over time share one thinned time axis; every other line has its own x.
+    Charts over time share one thinned time axis; every other line has an x of its own.
     """
     over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
-    # float32 (7 digits) suffices for a drawn value, but not for a time far from 0
+    # float32 (7 digits) suffices for a drawn value, but not for a late time
     time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
     kept = iter(columns)
     return {

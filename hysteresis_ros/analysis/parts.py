@@ -9,10 +9,10 @@
 
 """Parts of a run (steps and holds, approach, scan, path, shutdown), the figures that apply to each, and excerpts.
 
-In a scan the reference equals itself one period later; this is checked for all samples, not inferred from two
-reversals. Steps lead from one hold to another. A single move into a scan is the approach to this scan; any other motion
-is a path. While the axis is stopped, its voltage goes to the safe value and the axis does not follow the reference, so
-a shutdown has no figures.
+In a scan the reference equals itself one period later, within 5 % of its range; all samples are compared. Steps lead
+from one hold to another. A single move into a scan is the approach to this scan; any other motion is a path. While the
+axis is stopped, its voltage goes to the safe value and the axis does not follow the reference, so a shutdown has no
+figures.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
 from hysteresis_ros.units import quantity
 
-#: Smallest number of consecutive samples with constant reference that count as a hold.
+#: Minimum length of a hold, in which the reference is constant [samples].
 HOLD_SAMPLES = 10
-#: Fraction of a hold, at its end, over which the final value is averaged.
+#: The final value is the mean over the last part of a hold: this fraction of it.
 FINAL_PART = 0.1
 #: An axis counts as having left its hold if its error exceeds this fraction of the stroke.
 LEFT = 0.1
-#: The reference jumps if its movement per sample changes by more than this fraction of the stroke of the reference.
+#: The reference jumps if its movement per sample changes by more than this fraction of its stroke.
 JUMP = 0.01
-#: An extremum of the reference is a reversal if the reference then moves back by at least this fraction of its stroke.
+#: An extremum of the reference is a reversal if the reference moves back from it by at least this fraction of its
+#: stroke.
 REVERSAL = 0.1
-#: Half width of the band of the settling time, as a fraction of the step.
+#: Half width of the settling band, as a fraction of the step.
 SETTLING_BAND = 0.02
 
 
@@ -52,7 +53,7 @@ class Hold:
 
     @property
     def final(self) -> slice:
-        """The last part of the hold, at least one sample."""
+        """The last tenth of the hold, at least one sample."""
         length = max(1, int(round((self.stop - self.start) * FINAL_PART)))
         return slice(self.stop - length, self.stop)
 
@@ -62,12 +63,12 @@ class StepResponse:
     """The response to one step."""
 
     start: float  #: Time at which the reference began to move [s].
-    size: float  #: Height of the step in the reference, signed [m].
+    size: float  #: Step of the reference, signed [m].
     final: float  #: Value finally reached: mean displacement over the last tenth of the hold [m].
     #: Overshoot beyond ``final`` in the direction of the step, as a fraction of the step's ``|size|``; at least 0.
     overshoot: float
-    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None if the
-    #: displacement has not settled before the last tenth of the hold.
+    #: Settling time: from ``start`` until the displacement stays within ±2 % of ``|size|`` around ``final``; None if it
+    #: has not settled before the last tenth of the hold.
     settling_time: float | None
     steady_state_error: float  #: ``reference - final`` [m].
 
@@ -88,10 +89,10 @@ def find_holds(reference) -> list[Hold]:
 def scan_start(reference, displacement) -> int:
     """Return the sample from which errors of a scan count: a reversal if the scan begins with a jump, else 0.
 
-    A scan may begin away from the position at which the axis rests; the error until the axis follows says nothing about
-    the tracking of the scan. The axis begins to follow at the first reversal for which all errors up to the next
-    reversal are smaller than the jump. All later errors must be smaller than the jump, or than half of the largest
-    earlier error; otherwise, and if the reference consists of steps from hold to hold, all samples count.
+    A scan may begin far from the position of the axis at rest; the error before the axis follows does not describe the
+    tracking of the scan. The axis begins to follow at the first reversal for which all errors up to the next reversal
+    are smaller than the jump. All later errors must be smaller than the jump, or than half of the largest earlier
+    error. If they are not, or if the reference has more than one hold, all samples count.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -112,8 +113,8 @@ def scan_start(reference, displacement) -> int:
 def step_responses(time, reference, displacement) -> list[StepResponse]:
     """Return the responses to all steps between consecutive holds of the reference at different levels.
 
-    A step may be a jump or a limited move; its time counts from the sample of the jump, or from the last held sample
-    before the move.
+    A step may be a jump or a move of limited velocity. Its time begins at the sample of the jump, or at the last sample
+    of the hold before the move.
 
     Units: ``time`` [s], ``reference`` [m], ``displacement`` [m].
     """
@@ -123,7 +124,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
         size = after.level - before.level
         if size == 0.0:
             continue
-        # a jump at sample k acts from time[k] on; a limited move begins with the last held sample
+        # a jump at sample k acts from time[k] on; a move of limited velocity begins with the last sample of the hold
         first = after.start if after.start == before.stop else before.stop - 1
         answer = displacement[first : after.stop]
         if not np.all(np.isfinite(answer)):
@@ -146,9 +147,9 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
     return responses
 
 
-#: A reference repeats if it differs from itself one period later by at most the fraction EQUAL of its range, except in
-#: at most JITTER consecutive samples. The comparison must cover at least the fraction EVIDENCE of a period in addition
-#: to the first period.
+#: A reference repeats if it differs from itself one period later by at most the fraction EQUAL of its range; up to
+#: JITTER consecutive samples may differ more. The comparison must cover the first period and at least the fraction
+#: EVIDENCE of another one.
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
 #: Largest number of reversals in a period.
 REVERSALS = 40
@@ -181,14 +182,14 @@ JUDGED_BY = {
 }
 #: Kinds of parts without figures, and the reason.
 NOT_JUDGED = {
-    Kind.APPROACH: "not evaluated: it leads into the scan",
-    Kind.SHUTDOWN: "not evaluated: the axis was stopped, its voltage goes to the safe value",
+    Kind.APPROACH: "not evaluated: it only leads to the next part",
+    Kind.SHUTDOWN: "not evaluated: the axis is stopped, and its voltage goes to the safe value",
 }
 
 
 @dataclass(frozen=True)
 class Part:
-    """Samples ``start`` to ``stop`` (exclusive) of one kind.
+    """A part of a run of one kind: samples ``start`` to ``stop`` (exclusive).
 
     ``ends`` are the samples at which whole periods begin and end; ``moves`` is the number of moves from hold to hold.
     """
@@ -200,7 +201,7 @@ class Part:
     moves: int = 1
 
     def moved(self, by: int) -> Part:
-        """Return this part with the sample numbers of a run that begins ``by`` samples earlier."""
+        """Return this part with its sample numbers increased by ``by``."""
         return replace(self, start=self.start + by, stop=self.stop + by, ends=tuple(end + by for end in self.ends))
 
 
@@ -208,9 +209,9 @@ def stopped(recording: Recording) -> np.ndarray:
     """Return whether the axis is stopped at each sample, shape (N,).
 
     A stop is reported by the plant, or by a node between reference and voltage. A node without input also counts as
-    stopped if a stop of the axis follows, or if the run ends in that state. Without these signals, the recorded stop
-    and start requests are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from
-    reference, displacement and voltage.
+    stopped if a stop of the axis follows, or if the run ends in that state. Without the signals of these nodes, the
+    recorded stop and start requests are used. If those are missing too (:func:`stop_is_recorded`), the stop is detected
+    from reference, displacement and voltage.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -232,15 +233,15 @@ def stopped(recording: Recording) -> np.ndarray:
 
 
 def stop_is_recorded(recording: Recording) -> bool:
-    """Return whether the recording contains information about stops: recordings of nodes do, tables do not."""
+    """Return whether the recording contains information about stops: recordings of nodes contain it, tables do not."""
     return any(map(recording.has, (*MODES, "tripped"))) or "changes" in recording.metadata
 
 
 def _left_its_hold(recording: Recording) -> np.ndarray:
-    """Return the samples in which the axis leaves a settled hold for a constant voltage, at a constant reference.
+    """Return the samples in which the voltage leaves a settled hold for another constant value, at constant reference.
 
-    A closed loop does not leave the hold, and an open loop keeps its voltage, so such a motion at the end is a
-    shutdown.
+    A running closed loop does not leave the hold, and a running open loop keeps its voltage. So such a motion at the
+    end is a shutdown.
     """
     found = np.zeros(len(recording), dtype=bool)
     if len(recording) < 2 or not all(map(recording.has, ("reference", "voltage", "displacement"))):
@@ -277,13 +278,13 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
 def find_parts(reference, displacement=None, off=None, time=None) -> list[Part]:
     """Return the parts of a run in order; together they cover the whole run.
 
-    With ``time``, samples that are missing now and then are interpolated first: without them a reference that repeats
-    would not equal itself one period later.
+    With ``time``, missing samples are interpolated first; without them a periodic reference would not equal
+    itself one period later.
 
     Units: ``reference`` [m], ``displacement`` [m], ``time`` [s].
     """
     intervals = np.zeros(0) if time is None or len(time) < 2 else np.diff(time)
-    # not by Recording.sample_numbers, which refuses a recording with a long pause
+    # computed here, because Recording.sample_numbers refuses a recording with a long pause
     steps = np.maximum(np.rint(intervals / np.median(intervals)), 1.0) if intervals.size else intervals
     if intervals.size < np.sum(steps) < 2 * intervals.size:
         numbers = np.concatenate([[0], np.cumsum(steps.astype(np.int64))])
@@ -357,7 +358,7 @@ def _running(reference) -> list[Part]:
 
 
 def _with_hold(reference, start: int) -> int:
-    """Return the start of a part, extended by the end of the hold before it."""
+    """Return the start of a part, moved back so that the part includes the end of the hold before it."""
     held = next((hold for hold in find_holds(reference) if hold.start <= start <= hold.stop), None)
     return start if held is None else max(min(start, held.stop) - HOLD_SAMPLES, held.start)
 
@@ -366,7 +367,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
     """Return the longest interval from ``first`` to ``last`` in which the reference equals itself one period later."""
     points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
     size = EQUAL * float(np.ptp(reference[first:last]))
-    # the first reversal may belong to the approach, the last reversals to the return to rest
+    # the first reversal may belong to the approach, the last one or two to the return to rest
     counts = range(2, min(points.size, REVERSALS + 1), 2)
     for reversals, skipped, tail in ((n, i, j) for n in counts for i in range(2) for j in range(3)):
         ends = points[: points.size - tail][::-1][::reversals][::-1][skipped:]
@@ -395,7 +396,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
 
 
 def _between_holds(reference) -> list[Part]:
-    """Return the parts of a reference that does not repeat: the motions between its holds."""
+    """Return the parts of a reference that does not repeat: its holds, and the motions between them."""
     holds = find_holds(reference)
     if not holds or holds[0].start > 0:
         holds = [Hold(0, 0, float(reference[0])), *holds]
@@ -426,7 +427,7 @@ def _between_holds(reference) -> list[Part]:
 
 
 def _joined(parts: list[Part]) -> list[Part]:
-    """Join consecutive steps, extend parts by the end of the hold before them, and mark the approach of a scan."""
+    """Join consecutive steps and the end of the hold before them, and mark a single move into a scan as approach."""
     joined: list[Part] = []
     for part in parts:
         if joined and part.kind is Kind.STEPS:
@@ -451,8 +452,8 @@ def _joined(parts: list[Part]) -> list[Part]:
 def part_figures(part: Part, time, reference, displacement, stroke: float, against: str = "") -> dict:
     """Return the figures of merit of a part, the number of its steps, and the number of its whole periods.
 
-    The figures of a scan are computed over its whole periods, if it has any. ``against`` names the reference of the
-    errors; it is empty without a preview.
+    The errors and the loop width of a periodic part are computed over its whole periods. ``against`` names the
+    reference of the errors; it is empty without a preview.
     """
     found: dict = dict.fromkeys(JUDGED_BY[part.kind])
     inside = slice(part.start, part.stop)
@@ -476,7 +477,7 @@ def part_figures(part: Part, time, reference, displacement, stroke: float, again
 
 
 def step_figures(time, reference, displacement) -> dict:
-    """Return the worst figures of the steps of a part, the number of steps, and how many of them do not settle."""
+    """Return the worst figures of the steps of a part, and the numbers of all steps and of those that do not settle."""
     responses = step_responses(time, reference, displacement)
     found: dict = {"steps": len(responses)}
     if responses:
@@ -488,20 +489,20 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: Relative excess of the median square error over the median of undisturbed samples, above which a span counts as
-#: disturbed; smallest fraction of samples that must remain for the comparison; and shortest span, because a voltage
-#: acts only after the delay of the axis.
+#: EXCESS: a span is disturbed if its median squared error exceeds that of undisturbed samples by more than this
+#: fraction. COMPARED: smallest fraction of the samples that must remain for the comparison. SHORTEST_SPAN [samples]: a
+#: voltage acts only after the delay of the axis.
 EXCESS, COMPARED, SHORTEST_SPAN = 0.1, 0.1, 4
 
 
 def disturbed(skipped, error) -> np.ndarray:
-    """Return which samples are disturbed: skipped samples, and the following samples until the effect has decayed.
+    """Return which samples are disturbed: skipped samples, and the samples after them until the effect has decayed.
 
-    ``skipped`` and ``error``, shape (N,), are a flag for each sample and its error [m]. The error is NaN if it does not
-    count, for example without a measurement. All spans after skipped samples have the same length n: the shortest of 4,
-    8, 16, … samples after which the error has decayed. It has decayed if its median square in the n samples after the
-    spans exceeds the median square of all later samples by at most the fraction :data:`EXCESS`. The median is used
-    because the start of a run, far away from the skipped samples, often determines the mean.
+    ``skipped`` is a flag for each sample, shape (N,); ``error`` [m], shape (N,), is NaN where it does not count, for
+    example without a measurement. All spans after skipped samples have the same length n: the shortest of 4, 8, 16, …
+    samples after which the error has decayed. It has decayed if the median squared error in the n samples after the
+    spans exceeds that of all samples outside both by at most the fraction :data:`EXCESS`. A mean would often be
+    determined by the start of the run, far from the skipped samples.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
@@ -525,7 +526,7 @@ def seconds(text: str, option: str) -> float:
     try:
         value, unit = quantity(text)
         if unit not in ("", "s") or value < 0.0:
-            raise ValueError("must be a time of 0 or more")
+            raise ValueError("must be a time ≥ 0 s")
     except ValueError as error:
         raise RecordingError(f"{option} {text}: {error}; write e.g. 0.5 or 500ms") from None
     return value
@@ -539,21 +540,21 @@ def within(recording: Recording, first: float, last: float) -> Recording:
     time = recording.time - recording.time[0]
     chosen = (time >= first - 1e-9) & (time <= last + 1e-9)
     if np.count_nonzero(chosen) < 2:
-        raise RecordingError(f"the run has no samples from {first:g} s to {last:g} s: it lasts {time[-1]:g} s")
+        raise RecordingError(f"fewer than two samples from {first:g} s to {last:g} s: the run lasts {time[-1]:g} s")
     if np.all(chosen):
         return recording
     note = f"judged from {time[chosen][0]:.6g} s to {time[chosen][-1]:.6g} s of {time[-1]:.6g} s"
     metadata = {**recording.metadata, "notes": [*recording.notes, note]}
     metadata.setdefault("first_s", float(recording.time[0]))
     if not chosen[0]:
-        # with a preview, the reference before the excerpt differs from the first reference in the excerpt
+        # with a preview, the reference before the excerpt may differ from the first one in the excerpt
         metadata["excerpt"] = True
     signals = {name: values[chosen] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
 
 
 def period_ends(recording: Recording) -> np.ndarray:
-    """Return the times at which whole periods of the reference end, the latest first, shape (P + 1,) [s].
+    """Return the boundaries of the P whole periods of the reference, the latest first, shape (P + 1,) [s].
 
     The periods belong to the longest periodic part of the run; the result is empty if no part is periodic.
 
@@ -568,10 +569,10 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last ``count`` periods of a repeating reference, up to its last reversal."""
+    """Return the last ``count`` periods of a periodic reference, up to the end of its last whole period."""
     ends = period_ends(recording)
     if not ends.size:
-        raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
+        raise RecordingError("--last-periods: the reference is not periodic; choose a part with --range or --skip")
     if count > ends.size - 1:
         raise RecordingError(f"--last-periods {count}: the run has {ends.size - 1} whole periods between reversals")
     # the sample at the end of a period belongs to the next period

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures drawn with Matplotlib's object interface (without pyplot and display), and charts as data for pages.
+"""Figures drawn with Matplotlib's object interface (no pyplot, no display), and charts as data for pages.
 
 Matplotlib is imported when the first figure is drawn.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
-#: Largest number of points of a drawn line; for longer signals, minimum and maximum of each interval are drawn.
+#: Maximum number of points of a drawn line; of longer signals, the minimum and maximum of each interval are drawn.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
@@ -48,7 +48,7 @@ def new_figure(height: float, columns: int = 1, rows: int = 1):
 
 
 def envelope(time, values, points: int = LINE_POINTS):
-    """Return ``time`` and ``values``, thinned to the minimum and the maximum of each interval so that peaks remain."""
+    """Return ``time`` and ``values``, thinned to the minimum and maximum of each interval so that peaks remain."""
     intervals = points // 2
     size = values.size // intervals
     if size < 2:
@@ -68,7 +68,7 @@ def envelope(time, values, points: int = LINE_POINTS):
 
 
 def length_unit(largest: float) -> tuple[str, float]:
-    """Return the unit for drawn lengths (µm, or nm if the largest length is small) and its factor from metres.
+    """Return the unit of drawn lengths (µm, or nm if the largest length is small) and the factor from metres to it.
 
     Units: ``largest`` [m].
     """
@@ -106,7 +106,7 @@ COLOURS = {
 }
 #: Colours of the runs in a comparison, in order.
 SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
-#: Largest number of points of a path in a static figure; a path on a page has fewer.
+#: Maximum number of points of a path in a static figure; a path on a page has fewer.
 PATH_POINTS = 20000
 
 
@@ -120,23 +120,23 @@ class Line:
     y: np.ndarray
     width: float = 1.2  #: [points]
     dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: solid line.
-    #: shape (N,); Time of each point of a path [s], from which the page selects the points of a time span.
+    #: shape (N,); Time of each point of a path [s], by which the page selects the points of a time span.
     key: np.ndarray | None = None
-    dots: bool = False  #: Draw single points in place of a line.
+    dots: bool = False  #: Draw points instead of a line.
 
 
 @dataclass(frozen=True)
 class Chart:
     """A chart."""
 
-    name: str  #: Name of the chart, unique in its page.
-    caption: str  #: caption, across, up: Caption of the chart, and labels of its axes with units.
+    name: str  #: Name of the chart, unique on the page.
+    caption: str  #: caption, across, up: Caption of the chart; labels of its horizontal and vertical axis, with units.
     across: str
     up: str
     lines: Sequence[Line]
     #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: x is time, but each line has its
-    #: own times; ``graph``: x increases along each line; ``path``: x may reverse; ``steps``: x are the left edges of
-    #: bars.
+    #: own times; ``graph``: x increases along each line; ``path``: x may reverse; ``steps``: x is the left edge of each
+    #: bar.
     kind: str = "time"
     logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, ``xy`` or empty.
     levels: Sequence[float] = ()  #: Horizontal lines, such as limits.
@@ -154,9 +154,8 @@ class Chart:
 def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
     """Return columns over common times, thinned to two points per block of samples so that extremes remain.
 
-    For each block, a column keeps its lowest and its highest value, in the order in which they occur. Their times are
-    set to the times of the first and the middle sample of the block, so a peak is drawn at most one block from its true
-    time.
+    Each column keeps the lowest and the highest value of each block, in their order. They get the times of the first
+    and the middle sample of the block, so the time of a drawn peak is wrong by less than one block.
 
     Units: ``time`` [s].
     """
@@ -183,7 +182,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
 
 
 def thin_path(line: Line, points: int) -> Line:
-    """Return a path thinned to the first point and the extremes in both directions of each block of points."""
+    """Return a path thinned to the first point and the extremes of x and y in each block of points."""
     there = np.flatnonzero(np.isfinite(line.x) & np.isfinite(line.y))
     if there.size > points:
         blocks = max(1, points // 5)
@@ -201,7 +200,7 @@ def thin_path(line: Line, points: int) -> Line:
 
 
 def chart_figure(chart: Chart):
-    """Return the Matplotlib figure of a chart."""
+    """Draw a chart with Matplotlib and return the figure."""
     figure, (axis,) = new_figure(chart.height)
     if chart.shaded is not None:
         axis.axvspan(*chart.shaded, color=COLOURS["setpoint"][0], alpha=0.25, label=chart.shaded_label, linewidth=0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of a run: a static page that, if scripts are enabled, also shows the figures of any time span."""
+"""The report of a run: a page that, with scripts enabled, also shows the figures of a selected time span."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import FINE
 
-#: Number of blocks of samples. The page contains sums over each block, and a time span consists of whole blocks.
+#: Maximum number of blocks of samples. The page contains sums over each block; a time span consists of whole blocks.
 BLOCKS = 1500
-#: Number of periods at the end of a run that get a separate column of figures.
+#: Maximum number of periods at the end of a run in the column of the last periods.
 LAST = 2
-#: Kinds of parts with a column, largest number of such columns, and fraction of the run above which a part counts as
+#: Kinds of parts with a column, maximum number of such columns, and the fraction of the run from which a part counts as
 #: the whole run.
 SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
-#: Figures that the page computes for the displayed time span; the other figures need every sample.
+#: Figures that the page computes for the selected time span; the other figures need every sample.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("voltage_rate_v_s", "voltage_variation_v", "saturated_percent", "stroke_m", "samples", "duration_s"),
@@ -68,7 +68,7 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the time spans that have a column in the table: the whole run, its longest parts, its last periods."""
+    """Return name, start, end and figures of each column: the whole run, its longest parts, its last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
     # a part that is the whole run gets no separate column
@@ -91,10 +91,10 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
 
 
 def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
-    """Return sums over blocks of samples, from which the figures of any span of whole blocks follow exactly.
+    """Return sums over blocks of samples; they give the exact figures of any span of whole blocks.
 
-    A term between two samples belongs to the block of the later sample; ``joint_…`` is the term that leads to the first
-    sample of the block. A span that begins with this block omits this term.
+    A term between two samples belongs to the block of the later sample; ``joint_…`` is the term between the last sample
+    of the block before and the first sample of this block. A span that begins with this block omits it.
 
     ====================== ================================================================================
     ``from``, ``to``       first and last time of the block [s]
@@ -161,19 +161,19 @@ def _voltage_sums(block, time, voltage, count: int) -> dict[str, np.ndarray]:
 
 
 def _joined(name: str, block, terms, count: int) -> dict[str, np.ndarray]:
-    """Return for each block the sum of terms between neighbouring samples, and the term up to its first sample."""
+    """Return for each block the sum of the terms between neighbouring samples, and the term before its first sample."""
     joint = np.zeros(count)
     crossing = np.flatnonzero(np.diff(block)) + 1
     joint[block[crossing]] = terms[crossing - 1]
     return {name: np.bincount(block[1:], terms, minlength=count), f"joint_{name}": joint}
 
 
-#: Functions for the charts of a run, in order; each returns None if the run has no data for the chart.
+#: Functions that make the charts of a run, in order; each returns None if the run has no data for its chart.
 CHARTS = (
     *(traces_chart, error_chart, loops_chart, trace_retrace_chart, last_periods_chart, spectrum_chart),
     *(histogram_chart, voltage_chart, adaptation_chart, learned_chart, lateness_chart, late_samples_chart),
 )
-#: Largest size of a page [bytes]; the charts of a larger page are drawn with fewer points.
+#: Size limit of a page [bytes]; a larger page is made again with fewer points per chart.
 LARGEST = 2_000_000
 
 
@@ -196,7 +196,7 @@ def sampling_text(recording: Recording) -> str:
 
 
 def _samples_per_voltage(recording: Recording) -> int:
-    """Return for how many samples each voltage is held; 1 if it changes from sample to sample."""
+    """Return the number of samples for which each voltage is held."""
     if not recording.has("voltage"):
         return 1
     changes = np.flatnonzero(np.diff(recording["voltage"]) != 0.0)
@@ -219,7 +219,7 @@ def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
 def render_interactive(
     template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
 ) -> str:
-    """Return a page with charts, drawn with fewer points if the page would otherwise exceed :data:`LARGEST`."""
+    """Return a page with charts, with fewer points if the page would otherwise exceed :data:`LARGEST`."""
     pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
@@ -270,7 +270,7 @@ def render_report(
 
 
 def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
-    """Return sums over blocks of a run, in the form in which a page embeds them."""
+    """Return sums over blocks of a run, encoded for a page."""
     return {name: packed(values, "<f8") for name, values in block_sums(run, blocks).items()}
 
 

@@ -29,13 +29,13 @@ from hysteresis_ros.identification.frequency_response import PROBABILITY, Analys
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
-#: Largest absolute value of the real and the imaginary part in the Nyquist plot.
+#: Limit of the real and imaginary parts in the Nyquist plot.
 NYQUIST = 2.5
 
-#: Colours of the responses of a stage, except the colour of the measurement.
+#: Further colours in the plots of a stage.
 _FITTED, _NOISE, _DISTORTION = "#d1495b", "#9a9a9a", "#e09f3e"
 _MICRO = 1e6
-#: Largest number of columns of a figure of responses; for a stage with more axes, the figure shows only the response of
+#: Maximum number of columns of a figure of responses. For a stage with more axes the figure shows only the response of
 #: each axis to its own actuator.
 MOST_COLUMNS = 4
 #: Height of the plots of one output [inch].
@@ -43,7 +43,7 @@ HEIGHT = 5.6
 
 
 class Shown(Protocol):
-    """The data of a measured axis that the plots show."""
+    """Data of a measured axis that the plots show."""
 
     plant: Analysis
     loop: MeasuredLoop | None
@@ -105,7 +105,7 @@ def _rows(found: Shown) -> int:
 
 
 def _bode(axes, found: Shown) -> None:
-    """Draw magnitude and phase with their bands, levels of distortion and, if known, the coherence."""
+    """Draw magnitude and phase with confidence bands, levels of noise and distortion and, if known, the coherence."""
     response, levels = found.plant.response, found.plant.distortion
     f, G = response.frequency, response.single
     magnitude, phase = axes[:2]
@@ -137,7 +137,7 @@ def _bode(axes, found: Shown) -> None:
 
 
 def _band(axis, f, size, radius, label: str | None = None) -> None:
-    """Fill the band from size − radius (at least a hundredth of the size) to size + radius."""
+    """Fill the band from size − radius (but at least 0.01 size) to size + radius."""
     axis.fill_between(
         f,
         np.maximum(size - radius, 0.01 * size),
@@ -150,7 +150,7 @@ def _band(axis, f, size, radius, label: str | None = None) -> None:
 
 
 def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw |S| and |T| with their bands, and the bound M_s that every design must meet."""
+    """Draw |S| and |T| with their confidence bands, and the limit of M_s for every design."""
     curves = ((loop.sensitivity, "sensitivity S", _MEASURED), (loop.complementary, "complementary T", _SECOND))
     if model is not None:
         S = 1.0 / (1.0 + model)
@@ -200,7 +200,7 @@ def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Return for each label its point in the complex plane and the offset of its text."""
+    """Return, for each label, a point in the complex plane and the offset of the text."""
     found = {}
     if np.isfinite(loop.gain_margin.value):
         found[f"gain margin {loop.gain_margin.value:.1f} dB"] = (
@@ -217,14 +217,14 @@ def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[f
 
 
 class ShownMatrix(Protocol):
-    """The data of a measured stage that the plots show."""
+    """Data of a measured stage that the plots show."""
 
     names: tuple[str, ...]
     matrix: ResponseMatrix
 
     @property
     def distortion(self) -> np.ndarray | None:
-        """Standard deviation of the response by nonlinear distortion, shape (F, n, n) [m/V]."""
+        """Standard deviation of the response due to nonlinear distortion, shape (F, n, n) [m/V]."""
 
     def lines(self) -> list[str]:
         """Return the printed table."""

@@ -28,16 +28,17 @@ from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning
 from hysteresis_ros.recordings.provenance import configured
 from hysteresis_ros.recordings.triggers import triggers_of
 
-#: Approximate largest number of spans marked in a chart.
+#: Approximate maximum number of spans marked in a chart.
 MOST_MARKS = 500
-#: Smallest number of whole periods for which the chart of learning is drawn.
+#: Minimum number of whole periods for the chart of learning.
 LEAST_PERIODS = 3
 
 
 def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end of each learned period [s], and the RMS error of the period [m] against the undelayed reference.
+    """Return the end of each period of the learning [s], and its RMS error against the undelayed reference [m].
 
-    Both are empty if fewer than three periods were learned. If there is no true displacement, the measured one is used.
+    Both are empty without learning, or if the recording has fewer than three whole periods. If the true displacement is
+    unknown, the measured one is used.
     """
     given = configured(recording.configuration, "motion_controller", recording.metadata.get("namespace") or "")
     nothing = np.zeros(0), np.zeros(0)
@@ -58,17 +59,17 @@ _MICRO = 1e6
 
 @dataclass(frozen=True)
 class Judged:
-    """The signals of a run that the charts show."""
+    """Signals of a run that the charts show."""
 
     recording: Recording
     settings: AxisSettings
-    displacement: np.ndarray  #: shape (N,); True displacement, or the measured one, minus the preload offset [m].
+    displacement: np.ndarray  #: shape (N,); True (if unknown, measured) displacement minus the preload offset [m].
     #: reference, error: shape (N,); Reference that is compared with the displacement, and reference - displacement [m];
-    #: NaN while the axis is stopped; None if the recording has no reference.
+    #: the error is NaN while the axis is stopped; both are None if the recording has no reference.
     reference: np.ndarray | None
     error: np.ndarray | None
     start: int  #: First sample whose error counts.
-    unit: tuple[str, float] = ("µm", _MICRO)  #: Unit in which errors are drawn, and its factor from metres.
+    unit: tuple[str, float] = ("µm", _MICRO)  #: Unit of drawn errors, and the factor from metres to it.
 
     @property
     def disturbed(self) -> np.ndarray:
@@ -103,12 +104,12 @@ def judged(recording: Recording) -> Judged:
 
 
 def largest_error(run: Judged) -> float:
-    """Return the largest of the errors that count [m]; 0 if no error counts."""
+    """Return the largest magnitude of the errors that count [m]; 0 if no error counts."""
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
 def _marks(run: Judged) -> dict:
-    """Return the fields of a chart that mark the spans around skipped samples; spans close together are joined."""
+    """Return the fields of a chart that mark the disturbed spans; spans close together are joined."""
     span = run.disturbed
     if not np.any(span):
         return {}
@@ -146,7 +147,7 @@ def traces_chart(run: Judged) -> Chart:
         places = np.full(len(recording), np.nan)
         places[found.sample] = (found.position - run.settings.offset) * _MICRO
         lines.append(Line(f"triggers ({found.sample.size})", "late", recording.time, places, dots=True))
-        lost = f", {found.lost} followed others too fast" if found.lost else ""
+        lost = f", {found.lost} suppressed because they followed others too fast" if found.lost else ""
         shown["note"] = f"{shown.get('note', '')} {found.sample.size} triggers{lost}.".strip()
     return Chart("traces", "Displacement over time", "time [s]", "displacement [µm]", lines, height=3.6, **shown)
 
@@ -177,13 +178,13 @@ def error_chart(run: Judged) -> Chart | None:
 def loops_chart(run: Judged) -> Chart | None:
     """Return the chart of the loops: displacement versus voltage and, after compensation, versus reference [µm, %].
 
-    A voltage without reversals forms no loop and is not drawn; None if the reference (without one, the voltage) has no
-    reversals.
+    None if the reference has no reversals (without a reference: if the voltage has no reversals). A voltage without
+    reversals is not drawn.
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
-    inputs = [("before compensation, over the voltage", "voltage", voltage, "V", 1.0)]
+    inputs = [("before compensation, versus voltage", "voltage", voltage, "V", 1.0)]
     if run.reference is not None:
-        inputs.append(("after compensation, over the reference", "reference", run.reference, "µm", _MICRO))
+        inputs.append(("after compensation, versus reference", "reference", run.reference, "µm", _MICRO))
     stroke = np.ptp(_finite(run.displacement if run.reference is None else run.reference))
     lines = []
     for text, colour, values, unit, factor in inputs:
@@ -195,7 +196,7 @@ def loops_chart(run: Judged) -> Chart | None:
         label = f"{text} ({low * factor:.4g} … {high * factor:.4g} {unit}): {100.0 * opening / stroke:.3g} % of stroke"
         part = 100.0 * (values - low) / (high - low)
         lines.append(Line(label, colour, part, run.displacement * _MICRO, 0.9, key=recording.time))
-    # a voltage that jumps up and down with its reference has no loop either
+    # a voltage that jumps up and down with its reference forms no loop either
     if not lines or lines[-1].colour != inputs[-1][1]:
         return None
     across, caption = "voltage or reference [% of its range]", "Hysteresis loop before and after compensation"
@@ -217,7 +218,7 @@ def voltage_chart(run: Judged) -> Chart | None:
 
 
 def adaptation_chart(run: Judged) -> Chart | None:
-    """Return the chart of the gain of an adapted inverse over time; None without adaptation."""
+    """Return the chart of an adapted inverse's gain over time; None without adaptation."""
     recording = run.recording
     if not recording.has("adaptation") or not np.any(np.nan_to_num(recording["adaptation"])):
         return None
@@ -226,18 +227,18 @@ def adaptation_chart(run: Judged) -> Chart | None:
         Line("frozen", "limit", recording.time, gain, 1.0),
         Line("adapting", "voltage", recording.time, np.where(adapts, gain, np.nan), 1.8),
     ]
-    caption = "Gain of the adapted inverse over the identified one"
+    caption = "Gain of the adapted inverse, relative to the identified one"
     return Chart("adaptation", caption, "time [s]", "gain [1]", lines)
 
 
 def learned_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of each learned period [µm or nm] over time [s]; None without learning."""
+    """Return the chart of the RMS error of each period [µm or nm] over time [s]; None without learning."""
     ends, errors = period_errors(run.recording)
     if not ends.size:
         return None
     unit, factor = length_unit(float(np.nanmax(errors)))
     line = Line("period", "displacement", ends, errors * factor)
-    caption = "Error of each learned period, against the undelayed reference"
+    caption = "RMS error of each period of the learning, against the undelayed reference"
     return Chart("learned", caption, "time [s]", f"RMS of a period [{unit}]", [line], "graph", "y")
 
 
@@ -250,11 +251,11 @@ def lateness_chart(run: Judged) -> Chart | None:
 
 
 def late_samples_chart(run: Judged) -> Chart | None:
-    """Return the chart of the fraction of samples later than each lateness [µs]; None if it was not recorded."""
+    """Return the chart of the fraction of samples with at least a given lateness [µs]; None if it was not recorded."""
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
-    # both axes are logarithmic: the largest values are all kept, and of the smaller values fewer and fewer
+    # both axes are logarithmic, so all of the largest values are kept, and fewer of the smaller ones
     ranks = np.unique(np.rint(np.geomspace(1, late.size, 400)).astype(np.int64))
     # a lateness of 0 cannot be drawn on a logarithmic axis
     line = Line("samples", "late", np.maximum(late[ranks - 1], 0.1)[::-1], (ranks / late.size)[::-1])
@@ -266,16 +267,16 @@ def _finite(values) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-#: Smallest number of segments of a spectrum, and largest number of samples in a segment.
+#: Minimum number of segments of a spectrum, and maximum number of samples in a segment.
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
-#: Smallest number of samples for which a spectrum is computed.
+#: Minimum number of samples for a spectrum, and for a segment of it.
 LEAST_SAMPLES = 64
-#: Largest number of points of a spectrum. If the spectrum has more lines, at most this many frequency intervals are
-#: formed, and only the largest line of each is drawn.
+#: Maximum number of points of a spectrum. A spectrum with more lines is divided into at most this many frequency
+#: intervals, and only the largest line of each is drawn.
 SPECTRUM_POINTS = 1500
 #: Number of bars of a histogram.
 BARS = 60
-#: Largest number of overlaid periods.
+#: Maximum number of overlaid periods.
 PERIODS = 3
 
 _NANO, _TO_MICROMETRES = 1e9, 1e6
@@ -297,7 +298,7 @@ def amplitude_spectrum(time, values, sample_time: float) -> tuple[np.ndarray, np
 
 
 def spectrum_chart(run: Judged) -> Chart | None:
-    """Return the chart of the spectrum of the error [nm/√Hz, Hz]; None without an error, or with too few samples."""
+    """Return the chart of the error's spectrum [nm/√Hz, Hz]; None without an error, or with too few samples."""
     if run.error is None or np.count_nonzero(run.counted) < LEAST_SAMPLES:
         return None
     error = run.error[run.counted]
@@ -324,7 +325,7 @@ def spectrum_chart(run: Judged) -> Chart | None:
 
 
 def histogram_chart(run: Judged) -> Chart | None:
-    """Return the chart of the histogram of the error with a normal distribution [%, nm or µm]."""
+    """Return the histogram chart of the error [nm or µm, %], with the normal distribution of the same mean and σ."""
     if run.error is None or not np.any(run.counted):
         return None
     unit, factor = run.unit
@@ -354,7 +355,7 @@ def histogram_chart(run: Judged) -> Chart | None:
 
 
 def last_periods_chart(run: Judged) -> Chart | None:
-    """Return the chart of the errors of the last periods, overlaid [nm]; None if the reference does not repeat."""
+    """Return the chart of the overlaid errors of the last periods [nm]; None if the reference is not periodic."""
     if run.error is None:
         return None
     time = run.recording.time - run.recording.time[0]
@@ -423,6 +424,6 @@ def trace_retrace_chart(run: Judged) -> Chart | None:
     said = ""
     if apart.size:
         largest, typical = float(np.max(np.abs(apart))) * _NANO, float(np.sqrt(np.mean(apart**2))) * _NANO
-        said = f"At the same reference trace and retrace differ by {typical:.4g} nm rms and {largest:.4g} nm at most."
-    caption = "Trace against retrace: error over the reference, last two branches"
+        said = f"At equal reference, trace and retrace differ by {typical:.4g} nm RMS, and by at most {largest:.4g} nm."
+    caption = "Trace against retrace: error versus reference, last two branches"
     return Chart("trace", caption, "reference [µm]", "error [nm]", lines, "graph", levels=(0.0,), note=said)

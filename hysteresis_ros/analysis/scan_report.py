@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Accuracy of a scan in a plane: figures, map of the error, errors of lines, traces against retraces, and the page.
+"""Accuracy of a scan in a plane: figures, error map, errors of each line, traces and retraces, and the page.
 
 Errors are reference - displacement. Only errors on the passes (:class:`hysteresis_ros.references.scan.Passes`) count,
-because data are taken there; turns and flyback have a figure of their own. *Along* is the direction of the lines,
+because only there data are taken; turns and flyback have a figure of their own. *Along* is the direction of the lines,
 *across* is the other direction in the plane.
 """
 
@@ -34,16 +34,16 @@ from hysteresis_ros.recordings.triggers import triggers_of
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
-#: Largest number of bins of the map along its longer side, and largest number of points of a path in a picture.
+#: Maximum number of bins of the map along its longer side, and of points of a path in a picture.
 BINS, PATH_POINTS = 64, 20_000
-#: Number of passes whose velocities are shown in the picture of a scan.
+#: Number of passes in the plot of the velocities of a scan.
 SHOWN = 6
 #: Smallest span of both references [m] for a map; an axis with a smaller span holds its position.
 LEAST_MAP = 1e-8
 _MICRO = 1e6
-#: Refusal of a run without samples that can be evaluated.
-NO_LINE = "no sample of the run is on a line of the scan and has a displacement"
-#: Rows of the table: name, label, unit, factor.
+#: Error message for a run without samples that can be evaluated.
+NO_LINE = "no sample on a line of the scan has a displacement"
+#: Rows of the table: name, label, unit, factor that converts from the SI unit.
 ROWS = (
     ("rms_error_m", "RMS error in the plane", "µm", 1e6),
     ("rms_error_percent", "RMS error in the plane", "% of size", 1.0),
@@ -58,8 +58,8 @@ ROWS = (
     ("normal_error_m", "RMS error of the third axis", "µm", 1e6),
     ("turn_error_m", "RMS error in turns and flyback", "µm", 1e6),
     ("size_m", "Size", "µm", 1e6),
-    ("gap_m", "Largest distance of neighbouring lines", "µm", 1e6),
-    ("constant_share_percent", "Data at a constant velocity", "% of time", 1.0),
+    ("gap_m", "Largest distance between neighbouring lines", "µm", 1e6),
+    ("constant_share_percent", "Data at constant velocity", "% of time", 1.0),
     ("frames", "Frames", "", 1.0),
     ("samples", "Samples that count", "", 1.0),
 )
@@ -83,17 +83,17 @@ class InPlane:
 
     @cached_property
     def size(self) -> np.ndarray:
-        """Magnitude of the error in the plane, shape (N,) [m]."""
+        """Magnitude of the error vector in the plane, shape (N,) [m]."""
         return np.hypot(*self.error[:2])
 
     @cached_property
     def measured(self) -> np.ndarray:
-        """Whether all signals of a sample are known, shape (N,)."""
+        """Whether reference and displacement of all axes are known at each sample, shape (N,)."""
         return np.all(np.isfinite(self.error), axis=0)
 
     @property
     def counted(self) -> np.ndarray:
-        """Whether the error of a sample counts, shape (N,)."""
+        """Whether the error of each sample counts, shape (N,)."""
         return self.measured
 
     @property
@@ -104,7 +104,7 @@ class InPlane:
 
 @dataclass(frozen=True, eq=False)
 class PlaneRun(InPlane):
-    """A run of two axes of a stage that do not follow a scan."""
+    """A run of two axes of a stage without a scan."""
 
     time: np.ndarray  #: shape (N,); Increasing [s].
     reference: np.ndarray  #: shape (2, N) [m]
@@ -114,7 +114,7 @@ class PlaneRun(InPlane):
 
 
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
-    """Return the run of the first two axes of a recording in their plane; None if they do not form a plane.
+    """Return the run of the first two axes of a recording; None if they do not form a plane.
 
     The run begins when the later of the two axes begins its scan, as in the figures of a stage.
     """
@@ -134,13 +134,13 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
 
 
 def trigger_times(runs: Iterable[Recording], time: np.ndarray, origin: float = 0.0) -> np.ndarray:
-    """Return the trigger times of several axes within the time span of a run [s], counted from ``origin`` [s]."""
+    """Return the trigger times of several axes within a run [s], relative to ``origin`` [s]."""
     found = np.sort(np.concatenate([triggers_of(run).time for run in runs])) - origin
     return found[(found >= time[0]) & (found <= time[-1])]
 
 
 def plane_figures(run: PlaneRun) -> dict[str, float]:
-    """Return RMS and largest error of a run in its plane [m]."""
+    """Return RMS and largest error in the plane [m]."""
     there = run.size[run.counted]
     return {"rms_error_m": _rms(there), "max_error_m": float(np.max(there))}
 
@@ -154,23 +154,23 @@ class ScanRun(InPlane):
     reference: np.ndarray  #: shape (axes, N) [m]
     displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
     triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
-    #: shape (N,); Time on the path of each sample [s], if it differs from ``time`` because the scan was started again.
+    #: shape (N,); Time on the path at each sample [s], if it differs from ``time`` because the scan was restarted.
     moment: np.ndarray | None = None
     names: tuple[str, ...] = AXES  #: Names of the axes.
 
     def __post_init__(self):
-        """Refuse inconsistent shapes, and a run without a sample that counts."""
+        """Refuse inconsistent shapes, and a run in which no sample counts."""
         expected = (self.scan.axes, np.size(self.time))
         for name in ("reference", "displacement"):
             given = np.shape(getattr(self, name))
             if given != expected:
-                raise RecordingError(f"{name} has shape {given}, must be {expected}: axes of the scan, samples")
+                raise RecordingError(f"{name} has shape {given}; it must be {expected}: axes of the scan, samples")
         if not np.any(self.counted):
             raise RecordingError(NO_LINE)
 
     @cached_property
     def clock(self) -> Clock:
-        """Line, pixel and frame of each sample."""
+        """Frame, line and pixel of each sample."""
         return self.scan.clock(self.time if self.moment is None else self.moment)
 
     @property
@@ -188,7 +188,7 @@ class ScanRun(InPlane):
 
     @cached_property
     def counted(self) -> np.ndarray:
-        """Whether the error of a sample counts, because it is on a line, shape (N,)."""
+        """Whether the error of each sample counts: only samples on a line count; shape (N,)."""
         return self.measured & (self.clock.line >= 0)
 
     @property
@@ -204,7 +204,7 @@ class LineErrors:
     frame: np.ndarray  #: frame, line, direction: shape (P,)
     line: np.ndarray
     direction: np.ndarray
-    rms: np.ndarray  #: shape (P,); Error in the plane [m].
+    rms: np.ndarray  #: shape (P,); RMS error in the plane [m].
     across: np.ndarray  #: shape (P,); RMS error across the line, about its mean [m].
 
 
@@ -228,9 +228,9 @@ class ErrorMap:
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return the time on the path [s] from which a run counts: after the first of several periods, or the first line.
+    """Return the time on the path from which a run counts [s]: after the first period; in a short run, the first line.
 
-    ``time``: times on the path of all samples [s].
+    ``time`` is the time on the path at each sample [s].
     """
     lasts = np.max(time, initial=0.0)
     return scan.period if lasts >= 1.9 * scan.period else float(scan.passes.begin[1]) / scan.rate
@@ -256,7 +256,7 @@ def line_errors(run: ScanRun) -> LineErrors:
 
 
 def profile(run: ScanRun) -> Profile:
-    """Return the mean error along the lines, separately for traces and retraces."""
+    """Return the mean error along the lines at each pixel, separately for traces and retraces."""
     clock, along, found = run.clock, run.in_plane[0], []
     for direction in (1, -1):
         on = run.counted & (clock.direction == direction)
@@ -267,7 +267,7 @@ def profile(run: ScanRun) -> Profile:
 
 
 def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
-    """Return the map of the error in the plane; the default bins are so wide that no bin between lines is empty."""
+    """Return the error map; by default bins are at least as wide as the distance between lines."""
     on = run.counted
     places, errors = run.reference[:2, on], run.error[:2, on]
     low, high = places.min(axis=1), places.max(axis=1)
@@ -291,15 +291,15 @@ def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
 
 
 def retraced(run: ScanRun) -> bool:
-    """Return whether traces and retraces pass the same points, so that they can be compared."""
+    """Return whether traces and retraces pass through the same points and can be compared."""
     return run.scan.slow_axis and bool(np.any(run.scan.passes.direction < 0))
 
 
 def scan_figures(run: ScanRun) -> dict:
-    """Return the figures of a scan, see :data:`ROWS`; None for a figure that this kind of scan does not have.
+    """Return the figures of a scan, see :data:`ROWS`; None for a figure that does not apply to this kind of scan.
 
-    Coupling is the error across a line that is caused by the motion along the line. It is computed about the mean error
-    of the line, because an offset of the whole line is an error of the other axis itself.
+    Coupling is the error across a line caused by the motion along the line. The mean error of the line is subtracted,
+    because an offset of the whole line is an error of the other axis itself.
     """
     scan, on = run.scan, run.counted
     lines, sides = line_errors(run), profile(run)
@@ -341,14 +341,14 @@ def _begins(run: ScanRun) -> np.ndarray:
 
 
 def path_figure(run: InPlane):
-    """Return the figure of reference and path in the plane; the size of the error gives the colour of the path."""
+    """Return the figure of reference and path in the plane; the colour of the path shows the magnitude of the error."""
     figure, (axis,) = new_figure(6.4)
     from matplotlib.collections import LineCollection
 
     there = np.flatnonzero(run.measured)
     step = -(-there.size // PATH_POINTS)
     starts = np.arange(0, there.size, step)
-    # the largest error of each segment, so that no peak is lost
+    # each segment shows its largest error, so that no peak is lost
     sizes = np.maximum.reduceat(run.size[there], starts)
     unit, factor = length_unit(float(np.max(sizes)))
     points = run.displacement[:2, there[starts]].T * _MICRO
@@ -376,7 +376,7 @@ def map_figure(run: InPlane):
     figure, axes = new_figure(float(np.clip(1.6 + 2.5 * ratio, 2.5, 6.0)), 3)
     edges = [found.x * _MICRO, found.y * _MICRO]
     unit, factor = length_unit(float(np.nanmax(found.rms)))
-    # the scale of the colours ignores bins with single samples, which occur at the edge
+    # the percentile keeps extreme bins, such as bins with a single sample at the edge, out of the colour scale
     steepest = max(float(np.nanpercentile(np.abs(found.mean), 99.0)), 1e-15) * factor
     panels = [("RMS error", found.rms, dict(cmap="viridis", vmin=0.0))]
     panels += [
@@ -400,7 +400,7 @@ def map_figure(run: InPlane):
 
 
 def lines_figure(run: ScanRun):
-    """Return the figure of the RMS error of each line: mean over the frames, and range from smallest to largest."""
+    """Return the figure of the RMS error of each line: mean, smallest and largest over the frames."""
     lines = line_errors(run)
     figure, (axis,) = new_figure(3.2)
     unit, factor = length_unit(float(np.max(lines.rms)))
@@ -421,7 +421,7 @@ def lines_figure(run: ScanRun):
 
 
 def trace_figure(run: ScanRun):
-    """Return the figure of the mean error along the lines, traces against retraces."""
+    """Return the figure of the mean error along the lines, for traces and retraces."""
     found, scan = profile(run), run.scan
     figure, (axis,) = new_figure(3.2)
     place = ((np.arange(scan.pixels) + 0.5) / scan.pixels - 0.5) * getattr(scan, "width", scan.size) * _MICRO
@@ -439,7 +439,7 @@ def trace_figure(run: ScanRun):
 
 
 def scan_picture(scan: Scan):
-    """Return the figure of a scan without a run: the path of one period, and the velocities in a few middle lines."""
+    """Return the figure of a scan without a run: the path of one period, and the velocities in a few of its lines."""
     figure, (left, right) = new_figure(4.4, 2)
     time = np.linspace(0.0, scan.period, PATH_POINTS)
     x, y = scan.position(time)[:2] * _MICRO
@@ -485,7 +485,7 @@ def plane_plots(run: InPlane) -> Iterable[tuple[str, object]]:
 
 
 def format_plane(run: PlaneRun) -> str:
-    """Return the figures of a run in its plane as one line for a terminal."""
+    """Return the figures of a run in the plane as one line for a terminal."""
     figures = plane_figures(run)
     rms, largest = (readable(figures[name], "m") for name in ("rms_error_m", "max_error_m"))
     return f"plane {run.names[0]}-{run.names[1]}: RMS error {rms}, largest {largest}"

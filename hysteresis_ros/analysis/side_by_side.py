@@ -47,7 +47,7 @@ from hysteresis_ros.analysis.tables import aligned, format_parts, format_table, 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Lines of each chart that are overlaid for several runs, and the dash styles of these lines.
+#: For each chart, the lines that are overlaid for several runs, and their dash styles.
 OVERLAID: dict[str, dict[str, tuple[float, ...]]] = {
     "traces": {"displacement": ()},
     "error": {"error": ()},
@@ -108,7 +108,7 @@ def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
-    """Return the overlaid charts of several runs; the times of each run begin at its first sample."""
+    """Return the overlaid charts of several runs; time 0 is the first sample of each run."""
     unit = length_unit(max(largest_error(run) for run in runs.values()))
     charts: dict[str, list[tuple[str, str, Chart]]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -151,7 +151,7 @@ def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
 
 
 def _alike(line: Line, other: Line) -> bool:
-    """Return whether two lines agree within a thousandth of their range in their common interval of x."""
+    """Return whether two lines agree in their common interval of x, within a thousandth of their range."""
     last = min(line.x[-1], other.x[-1])
     there = line.x <= last
     apart = np.abs(np.interp(line.x[there], other.x, other.y) - line.y[there])
@@ -159,7 +159,7 @@ def _alike(line: Line, other: Line) -> bool:
 
 
 def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
-    """Return headings and texts: configuration of the first run, and the differences in the other configurations."""
+    """Return headings and texts: configuration of the first run, and how the other configurations differ from it."""
     (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
     texts = [(f"Configuration of {first}", base)] if base else []
     for name, text in others:
@@ -179,7 +179,7 @@ def render_side_by_side(
 ) -> str:
     """Return the page of several runs: table of figures, overlaid charts, the plane of two axes, configurations."""
     figures = figures or compare_runs(runs)
-    # the time of every run begins at its first sample
+    # time 0 is the first sample of each run
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
     blocks = max(100, BLOCKS // len(runs))
     sums = [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()]
@@ -220,18 +220,18 @@ def render_laid_over(
     )
 
 
-#: Figures that summarise the moves of a run: name, label, displayed unit, factor from the SI unit.
+#: Figures that summarise the moves of a run: name, label, displayed unit, factor that converts from the SI unit.
 SUMMARY = (
     ("moves", "Moves", "", 1.0),
     ("arrived", "Moves that arrived", "", 1.0),
-    ("failed", "Moves without arrival, or ended with an error", "", 1.0),
-    ("time_s", "Time of the moves that arrived", "s", 1.0),
+    ("failed", "Moves that did not arrive, or ended with an error", "", 1.0),
+    ("time_s", "Total time of the moves that arrived", "s", 1.0),
     ("walking_speed_m_s", "Walking speed, slowest move", "µm/s", 1e6),
     ("final_error_rms_m", "Final error, RMS, worst move", "nm", 1e9),
     ("final_error_max_m", "Final error, largest", "nm", 1e9),
     ("overshoot_m", "Overshoot, worst move", "µm", 1e6),
 )
-#: Line of each chart that is drawn for each run.
+#: For each chart, the line that is drawn for each run.
 OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
 
 
@@ -275,7 +275,7 @@ def format_motors(figures: dict[str, dict]) -> str:
 
 
 def laid_over(runs: dict[str, Recording]) -> list[Chart]:
-    """Return the overlaid positions and final errors of several runs, each from its first sample on."""
+    """Return the overlaid charts of position and final error of several runs; time 0 is each run's first sample."""
     found: dict[str, Chart] = {}
     lines: dict[str, list[Line]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -301,7 +301,7 @@ def render_motors(
 
 
 class Report(NamedTuple):
-    """Functions for one kind of axis: figures, table and page of one run, and of several runs side by side."""
+    """Functions for one kind of axis: figures, table and page of one run, and of several runs together."""
 
     figures: Callable[[Recording], dict]
     table: Callable[[dict], str]  #: ``table(figures)`` returns lines for a terminal.
@@ -327,7 +327,7 @@ def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path
     whole = [pathlib.Path(path).resolve() for path in paths]
     if len(set(whole)) < len(whole):
         again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
-        raise RecordingError(f"{again} is given more than once")
+        raise RecordingError(f"{again} is given more than once; give each recording once")
     for parts in range(1, max((len(path.parts) for path in whole), default=1) + 1):
         labels = ["/".join(path.parts[-parts:]) for path in whole]
         if len(set(labels)) == len(labels):
@@ -350,12 +350,12 @@ def common_report(runs: dict[str, Recording]) -> Report:
 def report_several(
     runs: dict[str, Recording], path=None, title: str | None = None, plane: PlaneRun | None = None
 ) -> tuple[dict[str, dict], str]:
-    """Compare runs and write a page; return the figures of each run, and lines for a terminal.
+    """Compare runs; return the figures of each run, and lines for a terminal; with ``path``, also write a page.
 
-    If the runs are two axes of a stage, ``plane`` contains both axes; the page then shows pictures of the plane.
+    If the runs are two axes of a stage, ``plane`` contains both, and the page also shows pictures of the plane.
     """
     if not runs:
-        raise RecordingError("no run to report: give at least one")
+        raise RecordingError("no run to report: give at least one recording")
     report = common_report(runs)
     figures = report.compare(runs)
     if path is not None:

@@ -17,19 +17,19 @@ from hysteresis_ros.analysis.metrics import FIGURES
 from hysteresis_ros.analysis.parts import JUDGED_BY, NOT_JUDGED, Kind
 from hysteresis_ros.units import FINE
 
-#: Units of figures, and the units a thousand times smaller.
+#: Units of figures, and the unit a thousand times smaller than each.
 FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs", "V": "mV"}
 
 
 def shown(value, unit: str, factor: float) -> tuple[str, str]:
-    """Return a figure as text and its unit; small values get the finer unit: 12.3 nm instead of 0.0123 µm."""
+    """Return a figure as text, and its unit; small values get the finer unit: 12.3 nm instead of 0.0123 µm."""
     if value and unit in FINER and abs(value) * factor < FINE:
         return format_value(value, 1e3 * factor), FINER[unit]
     return format_value(value, factor), unit
 
 
 def shown_row(label: str, value, unit: str, factor: float) -> dict:
-    """Return a row of a page's table: label, and value and unit as :func:`shown` returns them."""
+    """Return a row of a page's table: label, and the value and unit of :func:`shown`."""
     text, finer = shown(value, unit, factor)
     return dict(label=label, value=text, unit=finer)
 
@@ -92,7 +92,7 @@ def leading(columns: Sequence[dict]) -> tuple:
 
 
 def format_table(figures: dict) -> str:
-    """Return parts and figures as aligned lines for a terminal; a figure without a value is followed by the reason."""
+    """Return parts and figures as aligned lines for a terminal, then the reasons for missing figures, and the notes."""
     rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in leading([figures])]
     width = max(len(label) for label, *_ in rows)
     lines = format_parts(figures)
@@ -114,7 +114,7 @@ def format_parts(figures: dict, name: str = "") -> list[str]:
 
 
 def format_value(value, factor: float = 1.0) -> str:
-    """Return a number as text: four significant digits, whole numbers unrounded, a dash for None."""
+    """Return a number as text: a float with four significant digits, an integer in full, a dash for None."""
     if value is None:
         return "–"
     if isinstance(value, int):
@@ -123,7 +123,7 @@ def format_value(value, factor: float = 1.0) -> str:
 
 
 def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
-    """Return figures as texts with a common unit; it is the finer unit if even the largest value is small."""
+    """Return figures as texts with a common unit: the finer one if even the largest value is small."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     if unit in FINER and 0.0 < largest * factor < FINE:
         unit, factor = FINER[unit], 1e3 * factor

@@ -88,7 +88,7 @@ def test_parts_of_a_run_are_those_samples():
     np.testing.assert_array_equal(part["reference"], run["reference"][250:501])
     assert part.notes == ["judged from 0.25 s to 0.5 s of 0.999 s"]
     assert within(run, 0.0, np.inf) is run
-    with pytest.raises(RecordingError, match="the run has no samples from 3 s to 4 s: it lasts 0.999 s"):
+    with pytest.raises(RecordingError, match="fewer than two samples from 3 s to 4 s: the run lasts 0.999 s"):
         within(run, 3.0, 4.0)
 
 

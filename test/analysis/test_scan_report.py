@@ -144,7 +144,7 @@ def test_missing_samples_do_not_count_and_the_third_axis_is_apart():
     assert figures["rms_error_m"] == pytest.approx(np.sqrt(8.0) * 1e-9)
     assert figures["samples"] == np.count_nonzero(run.clock.line[np.r_[:1000, 3000:40_000]] >= 0)
     scan = run.scan
-    with pytest.raises(RecordingError, match=r"displacement has shape \(2, 5\), must be \(3, 5\)"):
+    with pytest.raises(RecordingError, match=r"displacement has shape \(2, 5\); it must be \(3, 5\)"):
         ScanRun(scan, np.zeros(5), np.zeros((3, 5)), np.zeros((2, 5)))
     with pytest.raises(RecordingError, match="no sample"):
         ScanRun(scan, np.zeros(5), np.zeros((3, 5)), np.full((3, 5), np.nan))

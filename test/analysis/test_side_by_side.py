@@ -115,7 +115,7 @@ def test_the_command_puts_runs_of_one_name_apart_by_their_folders(runs, tmp_path
     assert list(stored) == ["slow/run.npz", "fast/run.npz"] and stored["fast/run.npz"]["samples"] == 1900
     assert "<h1>slow/run.npz · fast/run.npz</h1>" in page.read_text(encoding="utf-8")
     refused = invoke(*paths, "--skip", "1.5s")
-    assert refused.exit_code == 2 and "fast/run.npz: the run has no samples from 1.5 s to inf s" in refused.output
+    assert refused.exit_code == 2 and "fast/run.npz: fewer than two samples from 1.5 s to inf s" in refused.output
 
 
 @pytest.mark.parametrize(
