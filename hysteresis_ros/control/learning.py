@@ -174,7 +174,7 @@ SAME = 1e-9
 
 
 def shortest_period(path: np.ndarray) -> int:
-    """Return the smallest period of a path [samples], if the path is one period of a repeating motion."""
+    """Return the smallest period [samples] of a path that is one period of a repeating motion."""
     count = len(path)
     for period in range(2, count):
         if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:

@@ -11,7 +11,7 @@
 
 Start with :mod:`.controller` (``hysteresis design``), which uses :mod:`.gains` and :mod:`.damping`. :mod:`.learning`
 designs the learning for periodic references with :mod:`.learning_filters`. :mod:`.frequency_response` measures an axis;
-:mod:`.measured` and :mod:`.setpoint_step` verify a design. A design that serves only one control law is in the module
-of that law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and
+:mod:`.measured` and :mod:`.setpoint_step` verify a design. A design for only one control law is in the module of that
+law. Coupled axes: :mod:`.stage_identification`, :mod:`.coupled`, :mod:`.stage_feedforward`, and
 :mod:`.coupled_learning`, which learns from run to run.
 """

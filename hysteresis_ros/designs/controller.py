@@ -39,8 +39,8 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.models.linear import StateSpace
 
 NODE = "motion_controller"
-#: First lines of the comments that a new design replaces: LEARNING for a design of learning, FEEDFORWARD for a design
-#: of a feedforward, HEADERS for a design of a controller.
+#: First words of the comment lines that a new design replaces: LEARNING for a design of learning, FEEDFORWARD for one
+#: of a feedforward, HEADERS for one of a controller.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 FEEDFORWARD = ("# Feedforward designed by `hysteresis design", "# on the model of the stage:")
 HEADERS = (
@@ -52,7 +52,7 @@ HEADERS = (
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
-    """Return the flat parameters of the controller node: the parameters of the file, with the designed groups.
+    """Return the flat parameters of the controller node: those of the file, in which the design replaces its groups.
 
     A learned correction is removed, because its filters were designed for the previous controller.
     """
@@ -71,7 +71,7 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
 
 
 def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
-    """Return the group of the damping; empty if there is no damping and the file has no such group."""
+    """Return the group names of the damping; empty without damping, if the file has no such group either."""
     named = any(name.startswith("damping.") for name in before)
     return ("damping",) if named or parameters.damping.type != NONE else ()
 
@@ -102,7 +102,7 @@ def feedforward_text(configuration: Configuration, values: dict, namespace: str,
 
 
 def scan_text(configuration: Configuration, chosen: dict, namespace: str) -> str:
-    """Return the text of a stage's file in which the parameters of the scan are replaced; everything else is kept."""
+    """Return the text of a stage's file with new scan parameters; everything else is kept."""
     chosen = {f"scan.{name}": value for name, value in chosen.items()}
     return _text(configuration, lambda before: before | chosen, namespace, "", (), STAGE)
 
@@ -145,11 +145,11 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == full.rsplit("/", 1)[-1] and matches(pattern, full)
 
 
-#: Maximum number of halvings of the bandwidth, and number of bisections between the last two values.
+#: Maximum number of halvings of the bandwidth, and number of bisections between the last two bandwidths.
 HALVINGS, RAISED = 18, 3
-#: Variances of the input noise that are tried for a slower observer, relative to the measurement noise.
+#: Tried ratios of input noise variance to measurement noise variance; a smaller ratio gives a slower observer.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
-#: Uncertainty that is assumed for the response of a model without an identification.
+#: Response uncertainty of a model without an identification: the model is assumed to be exact.
 KNOWN = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
@@ -167,7 +167,7 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     if found.get(f"{start}ringing") and f"{start}certain_crossover_hz" not in found:
         raise ConfigurationError(
             f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing; with {start}ringing it must be"
-            " the highest crossover that is known to be safe [Hz, 0: none]; identify again, or remove the entries"
+            " the highest crossover known to be safe [Hz, 0: none]; identify again, or remove the entries"
             f" {start}*"
         )
     try:
@@ -180,7 +180,7 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
         raise ConfigurationError(
             f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must have the same length,"
-            f" frequencies rising, uncertainties not below 0; identify again, or remove the entries {start}*"
+            f" frequencies must increase, uncertainties must be ≥ 0; identify again, or remove the entries {start}*"
         )
     higher = found.get(f"metrics.{SMALL_LOOP_GAIN}", 0.0)
     gain = 1.0 + 0.01 * max(float(higher), 0.0) if isinstance(higher, (int, float)) else 1.0
@@ -191,7 +191,7 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
 
 
 def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a loop is stable on all plants of an identification and keeps its margins at the largest gain.
+    """Return whether a loop is stable on all plants of an identification and meets the margins at the largest gain.
 
     ``loop`` consists of controller and plant, see :func:`.whole_loop`. Units: ``sample_time`` [s].
     """
@@ -203,8 +203,8 @@ def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertaint
     return judge(controller, plant.scaled(response.gain), sample_time, with_bandwidth=False).meets()
 
 
-#: Number of corners of a roll-off per decade; decades of corners below half the sample rate; steps of the search for
-#: the gain at each corner.
+#: Tried corner frequencies of a roll-off: number per decade, and number of decades below half the sample rate. Number
+#: of steps of the search for the gain at each corner.
 CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
 #: A roll-off is used if it raises the bandwidth, or the integral gain of an uncertain PID, by at least the factor
 #: WORTH. A requested bandwidth is reached if the achieved bandwidth is at least the fraction REACHED of it.
@@ -216,8 +216,8 @@ def rolled_off_design(
 ) -> Designed | None:
     """Return the integral controller with the largest certain gain (:func:`is_certain`) over all roll-offs, or None.
 
-    Units: ``sample_time`` [s]. ``quiet`` is the largest gain from the sensor's noise to the command, ``bandwidth`` the
-    largest bandwidth [Hz].
+    Units: ``sample_time`` [s]. ``quiet`` is the largest allowed gain from the sensor's noise to the command,
+    ``bandwidth`` the largest allowed bandwidth [Hz].
     """
     own = first.parameters.before_damping(sample_time)
     dynamics = own.model.dynamics
@@ -257,7 +257,7 @@ def rolled_off_design(
 def _pid(
     design: Design, request: DesignRequest, response: ResponseUncertainty, sample_time: float, quiet: float
 ) -> Designed:
-    """Return a pid, with a roll-off if the bandwidth requires it, or if lightly damped modes limit a pid without it."""
+    """Return a PID, with a roll-off if the bandwidth requires it, or if lightly damped modes limit a PID without it."""
     asked = request.bandwidth
     try:
         first = design(asked, request.q)
@@ -277,7 +277,7 @@ def _pid(
         return rolled
     own = first.parameters.before_damping(sample_time).model.dynamics.state_space
     light = [damping for _, damping in modes(own.poles, sample_time) if damping < LITTLE_DAMPING]
-    # a pid cancels one mode; an uncertain pid is designed again anyway
+    # a PID cancels one mode; a PID that is not certain is designed again by certain_design
     if (
         asked is not None
         or len(light) < 2
@@ -296,9 +296,9 @@ def certain_design(
     sample_time: float,
     quiet: float = np.inf,
 ) -> Designed:
-    """Return a design that is stable on all plants that are consistent with the identification.
+    """Return a design that is stable on all plants consistent with the identification.
 
-    For this, the parts of the design that the request leaves open are made slower: first the observer, then the
+    The parts that the request leaves open are made slower until the design is stable: first the observer, then the
     response to the reference.
 
     Units: ``sample_time`` [s].
@@ -342,7 +342,7 @@ def certain_design(
     known = response.assumption(sample_time)
     limited = certain.frequency > response.crossover
     if not limited and (certain.frequency <= response.known_to or not known):
-        known = f"the response is known only to within {100.0 * certain.uncertainty:.0f} % at this frequency"
+        known = f"the response has an uncertainty of {100.0 * certain.uncertainty:.0f} % at this frequency"
     if first.parameters.type != "pid":
         advice += ", choose another controller (pid)"
     raise ConfigurationError(
@@ -352,7 +352,7 @@ def certain_design(
 
 
 def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design tolerates unknown dynamics; True if there is no design."""
+    """Return whether a design tolerates dynamics unknown to the identification; True without a design."""
     with contextlib.suppress(ParameterError):
         found = response.borne_by(*whole_loop(design(bandwidth, q).parameters, sample_time), sample_time)
         return found.distance >= KEPT or found.frequency <= response.known_to
@@ -360,7 +360,7 @@ def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, 
 
 
 def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:
-    """Return the fastest design up to a bandwidth that is stable on all plants consistent with the identification."""
+    """Return the fastest design below the bandwidth ``fast`` that is stable on all plants of the identification."""
     for _ in range(HALVINGS):
         slow = 0.5 * fast
         best = found_with(slow)
@@ -374,12 +374,12 @@ def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Desi
     return None
 
 
-#: Poles with a smaller modulus are delays and are not printed. If several poles are at 0, the error of the computed
-#: poles is about this large.
+#: Poles with a smaller modulus are delays and are not printed. Several poles at 0 are computed with about this error.
 AT_ZERO = 1e-3
 
 
-#: Assumed RMS noise of a sensor whose noise is not known, and largest noise of the command, as fractions of the stroke.
+#: Assumed RMS noise of a sensor of unknown noise, and largest allowed RMS noise of the command, as fractions of the
+#: stroke.
 ASSUMED_NOISE = 1e-4
 NOISY_COMMAND = 2e-3
 
@@ -402,20 +402,20 @@ class DesignRequest:
     controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
     bandwidth: float | None = None  #: [Hz]
     q: float | None = None  #: Kalman filter: ratio of input noise variance to measurement noise variance.
-    #: ``iae``, ``ise`` or ``itae``: criterion by which the gains are tuned on the waveform, if the law supports it.
+    #: ``iae``, ``ise`` or ``itae``: criterion for tuning the gains on the waveform, if the law supports it.
     criterion: str | None = None
-    duration: float | None = None  #: Length of the run for the tuning [s].
+    duration: float | None = None  #: Duration of the simulated run for the tuning [s].
     feedforward: bool = False  #: Whether to add the inverse of the dynamics.
-    preview: int | None = None  #: Samples of preview of the feedforward; by default as many as the inverse needs.
-    #: RMS of the sensor's noise [m]; it limits the bandwidth if no bandwidth is requested. By default it is
-    #: :data:`ASSUMED_NOISE` of the stroke.
+    preview: int | None = None  #: Preview of the feedforward [samples]; by default what the inverse needs.
+    #: RMS noise of the sensor [m], by default :data:`ASSUMED_NOISE` of the stroke; it limits the bandwidth if no
+    #: bandwidth is requested.
     noise: float | None = None
     #: Plants that must meet the requirements. By default these are the model and, with damping, also plants whose
     #: resonances are 10 % lower or higher.
     robust: Uncertainty | None = None
-    #: Kind of damping to design first, or ``none``; by default the damping of the configuration is kept.
+    #: Kind of damping to design before the controller, or ``none``; by default the configured damping is kept.
     damping: str | None = None
-    damping_peak: float = REQUIRED.sensitivity_peak  #: Largest M_s with the damping; lower: weaker damping.
+    damping_peak: float = REQUIRED.sensitivity_peak  #: Largest M_s with the damping; a lower one weakens the damping.
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,10 +428,10 @@ class AxisDesign:
     sample_time: float  #: [s]
     tuned: Tuned | None = None  #: Result of the tuning, if any.
     robustness: Robustness | None = None  #: Margins on the plants of a robust design.
-    limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
-    gain: float = 1.0  #: Largest factor on the plant's gain at which the margins were required.
+    limited: ResponseUncertainty | None = None  #: Response uncertainty that limited the design.
+    gain: float = 1.0  #: Factor on the plant's gain up to which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
-    together: str = ""  #: How the loops of the other axes of a stage have changed this design.
+    together: str = ""  #: How this design was changed because of the loops of the other axes of a stage.
     calmed: str = ""  #: Why the controller is slower than it could be.
 
     def misses(self) -> tuple[str, ...]:
@@ -441,7 +441,7 @@ class AxisDesign:
 
 
 def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
-    """Return the uncertainty that defines the plants of a robust design, from the options of the command."""
+    """Return the uncertainty of a robust design, from the command-line options; None without ``--robust``."""
     given = {name: value for name, value in ranges.items() if value is not None}
     if not robust:
         if given:
@@ -457,7 +457,7 @@ def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
 def design_axis(
     axis: AxisParameters, request: DesignRequest, response: ResponseUncertainty | None = None
 ) -> AxisDesign:
-    """Design the controller of an axis for the model in the axis' own parameters."""
+    """Design the controller of an axis for the axis' own model."""
     _check_request(axis, request)
     sample_time = 1.0 / axis.motion_controller.sample_rate
     given = part(axis.motion_controller, ControllerParameters)
@@ -490,7 +490,7 @@ def design_axis(
         with contextlib.suppress(ParameterError, ConfigurationError):
             bandwidth = design_axis(axis, plain, response).margins.bandwidth
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
-    # the result of the search is not valid for a design that was made slower afterwards
+    # the margins found by the robust design do not apply to a design that was made slower afterwards
     kept = {"robustness": robust} if found is first else {"limited": response}
     gain = 1.0 if response is None else response.gain
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
@@ -499,7 +499,7 @@ def design_axis(
 def _gains(
     control: ControllerParameters, request: DesignRequest, sample_time: float, quiet: float, around: PlantsAround
 ) -> tuple[Designed, Robustness | None]:
-    """Return gains for a request, with the damping in the parameters."""
+    """Return gains for a request; the damping is that of the parameters."""
     name, q = request.controller, request.q
     if request.robust is not None:
         aimed = replace(REQUIRED, command_noise_gain=quiet)
@@ -528,10 +528,10 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
         raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
     if request.criterion:
         axis.require_generator(
-            "--criterion tunes on the waveform of a reference generator, and the file has a sequencer instead; omit it"
+            "--criterion tunes on the waveform of reference_generator, but the file has a sequencer instead; omit it"
         )
     if "kalman" not in law.groups and request.q is not None:
-        raise ConfigurationError(f"--q belongs to the Kalman filter, which {request.controller} does not have; omit it")
+        raise ConfigurationError(f"--q belongs to the Kalman filter, but {request.controller} has none; omit it")
     if request.q is not None and not request.q > 0.0:
         raise ConfigurationError(f"--q {request.q:g}: must be above 0")
     for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
@@ -544,9 +544,9 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
 
 
 def _quiet(axis: AxisParameters, noise: float | None) -> float:
-    """Return the largest gain from the sensor's noise to the command."""
+    """Return the largest allowed gain from the sensor's noise to the command."""
     if noise is not None and not noise > 0.0:
-        raise ConfigurationError(f"--noise {noise:g}: must be a noise in metres above 0")
+        raise ConfigurationError(f"--noise {noise:g}: must be > 0 m")
     low, high = reachable_displacements(axis)
     return NOISY_COMMAND * (high - low) / (ASSUMED_NOISE * (high - low) if noise is None else noise)
 
@@ -597,14 +597,14 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     return text
 
 
-#: Duration of the averages of an approach with feedforward by velocity, in mean delays of the model. A lag or a delay
-#: then overshoots a move by at most about 1/(2 SMOOTH²) = 1 %. A lightly damped resonance adds the overshoot that it
-#: has without feedforward.
+#: Duration of each moving average of an approach, in mean delays of the model. With feedforward by velocity, an axis
+#: that is a lag or a delay then overshoots a move by at most about 1/(2 SMOOTH²) = 1 %. A lightly damped resonance adds
+#: the same overshoot as without feedforward.
 SMOOTH = 7.0
 
 
 def _with_smooth_approach(text: str, result: AxisDesign, namespace: str) -> str:
-    """Return the text of a file whose moves to setpoints are smooth enough for a feedforward by velocity."""
+    """Return the text of a file whose approach is smooth enough for feedforward by velocity."""
     configuration = parse_configuration(text, "the designed file")
     axis, sample_time = single_axis(configuration, namespace or None), result.sample_time
     if axis.reference_generator is None or not axis.generator.approach.maximum_velocity:
@@ -701,12 +701,12 @@ def doubts(result: AxisDesign) -> list[str]:
     if not parameters.model.dynamics.order:
         found.append(
             "model.dynamics.A is empty: the design assumes that the axis responds within a sample; "
-            "identify a model of its dynamics"
+            "identify the dynamics of the axis"
         )
     misses = result.misses()
     if misses:
         found.append(
-            f"requirements not met: {'; '.join(misses)}; the loop tolerates little error of the model "
+            f"requirements not met: {'; '.join(misses)}; the loop tolerates only small errors of the model "
             "or the delay, and hysteresis compare does not rank it; choose another bandwidth or q"
         )
     if result.limited is not None:
@@ -716,7 +716,7 @@ def doubts(result: AxisDesign) -> list[str]:
         if asked is not None and reached >= REACHED * asked:
             change = "a roll-off was added"
         found.append(
-            f"{change}, so that the loop is stable with every plant that is consistent with the recording: {rests}; "
+            f"{change}, so that the loop is stable with every plant consistent with the recording: {rests}; "
             "a recording with content at these frequencies (hysteresis excite --recipe multisine) may allow more"
         )
     if result.damped is not None:

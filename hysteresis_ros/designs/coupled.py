@@ -11,7 +11,7 @@
 
 **Dynamic decoupling of a scan.** Let R be the references of all axes at a harmonic of the path, and let T be the
 coupled closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q
-(T⁻¹ - I) R. With Q = I, the displacements of all axes of the model are equal to R at the samples. The path of a whole
+(T⁻¹ - I) R. With Q = I, the displacements of all axes of the model equal R at the samples. The path of a whole
 period is known in advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the
 robustness filter of the axis; above the bandwidth of Q nothing is corrected. Learning begins with these corrections,
 and continues with the errors that the model does not predict.
@@ -57,24 +57,23 @@ from hysteresis_ros.loop.stage_response import (
 )
 from hysteresis_ros.models.linear_algebra import product
 
-#: Uncertainty of the response of each axis, by the name of the axis; the model of an axis without an entry counts as
-#: exact.
+#: Response uncertainty of each axis, by the name of the axis; without an entry, the model of the axis counts as exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
-#: Fractions of the bandwidth of each axis alone that are tried if the loops of the other axes do not permit this
-#: bandwidth. With a damping, which is meant for a fast law, only the first AROUND fractions are tried. PEAKS are the
-#: largest M_s of weaker dampings.
+#: SHARES: tried fractions of the bandwidth that an axis reaches alone, if the loops of the other axes do not permit
+#: this bandwidth. With a damping, which is meant for a fast law, only the first AROUND fractions are tried. PEAKS:
+#: largest M_s of the weaker dampings that are tried.
 SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
-#: Bandwidth of the slow axis of a raster, in multiples of the lines per second, or of the bandwidth of its path.
+#: Bandwidth of the slow axis of a raster, as a multiple of the larger of the line rate and the bandwidth of its path.
 CALM = 10.0
-#: Table entry of a stage with unstable loops.
+#: Table entry of a loop that is unstable.
 UNSTABLE = "none: the loop is unstable"
-#: Frequencies at which the coupling is printed, and grid for singular values, both as fractions of the sample rate.
+#: Frequencies of the printed coupling, and of the singular values, as fractions of the sample rate.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 
 def stage_lines(parameters: StageParameters, more: Iterable[tuple[str, str]] = ()) -> list[str]:
-    """Return the printed table of a stage: interaction of its axes, margins of its loops, and further rows."""
+    """Return the printed table of a stage: interaction of its axes, margins of its loops, and the rows ``more``."""
     rows = [*stage_rows(parameters), *more]
     width = max(len(name) for name, _ in rows)
     return [f"{name:<{width}}  {text}" for name, text in rows]
@@ -116,10 +115,10 @@ def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
 def with_written_scan(
     configuration: Configuration, kind: str, values: Sequence[str], periods: int = 0
 ) -> Configuration:
-    """Return the configuration of a stage in which another scan is written into the text of the file.
+    """Return the configuration of a stage with another scan in the text of the file.
 
-    ``values`` are the parameters of this scan, each ``NAME=VALUE``. If the file has fewer periods than ``periods``,
-    their number is set to ``periods``; 0 in the file (endless) is kept.
+    ``values`` are the parameters of the scan, each ``NAME=VALUE``. If the number of periods in the file is below
+    ``periods``, it is set to ``periods``; 0 (endless) is kept.
     """
     chosen: dict = {"kind": kind, "values": tuple(values)}
     own = StageParameters.from_configuration(configuration).stage.scan.periods
@@ -130,7 +129,7 @@ def with_written_scan(
 
 
 def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:
-    """Return the uncertainty of each axis' response that an identification has written into a parameter file."""
+    """Return the response uncertainty of each axis that an identification has written into a parameter file."""
     found = {name: response_uncertainty(configuration, name) for name in parameters.names}
     return {name: known for name, known in found.items() if known is not None}
 
@@ -141,11 +140,11 @@ def design_controllers(
     known: Uncertainties,
     chosen: str | None = None,
 ) -> dict[str, AxisDesign]:
-    """Design the controllers of all axes, or of one axis, each for the model of its axis.
+    """Design the controllers of all axes, or of the axis ``chosen``, each for the model of its axis.
 
-    The controllers must meet the requirements also with the loops of all axes closed and, with a damping, also for
-    other resonances. If they do not, the law is made slower, or a requested damping is weakened or omitted; each design
-    states why. The slow axis of a raster gets a slow law, unless a bandwidth is requested.
+    The controllers must meet the requirements also with the loops of all axes closed and, with a damping, with
+    deviating resonances. If they do not, the law is made slower, or a requested damping is weakened or omitted; each
+    design states the reason. The slow axis of a raster gets a slow law, unless a bandwidth is requested.
     """
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
     designs = {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
@@ -153,9 +152,9 @@ def design_controllers(
 
 
 def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
-    """Return the slow axis of the stage's raster scan and the bandwidth [Hz] that suffices for it, or None.
+    """Return the slow axis of a raster scan and the bandwidth that suffices for it [Hz]; None without a raster.
 
-    This axis hardly moves, so a faster loop would only add motion due to the noise of its sensor.
+    The slow axis hardly moves, so a faster loop would only add motion caused by sensor noise.
     """
     scan = parameters.scan
     if scan is None or not scan.slow_axis:
@@ -170,7 +169,7 @@ def calm_bandwidth(parameters: StageParameters) -> tuple[str, float] | None:
 def _calmed(
     parameters: StageParameters, request: DesignRequest, known: Uncertainties, designs: dict[str, AxisDesign]
 ) -> dict[str, AxisDesign]:
-    """Return the designs, with a slower law for the slow axis of a raster if this law meets its requirements."""
+    """Return the designs, with a slower law for the slow axis of a raster if this law meets the requirements."""
     calm = calm_bandwidth(parameters)
     if calm is None or not _free(request):
         return designs
@@ -180,9 +179,9 @@ def _calmed(
     with contextlib.suppress(HysteresisError):
         slower = _designed(parameters, request, known, {name: band})[name]
         if not slower.misses():
-            possible = f"{designs[name].margins.bandwidth:.4g} Hz are possible"
-            said = f"the slow axis of the raster needs no more than {band:g} Hz, {possible}: the noise of its sensor "
-            said += "then moves it less; --bandwidth requests another bandwidth"
+            possible = f"although {designs[name].margins.bandwidth:.4g} Hz are possible"
+            said = f"the slow axis of the raster needs no more than {band:g} Hz, {possible}: with this bandwidth "
+            said += "sensor noise moves it less; --bandwidth requests another bandwidth"
             return {**designs, name: replace(slower, calmed=said)}
     return designs
 
@@ -195,7 +194,7 @@ def _free(request: DesignRequest) -> bool:
 def _adjusted_together(
     parameters: StageParameters, request: DesignRequest, known: Uncertainties, first: dict[str, AxisDesign]
 ) -> dict[str, AxisDesign]:
-    """Return designs that meet the requirements with all loops closed, or else the first designs with a note."""
+    """Return designs that meet the requirements with all loops closed; otherwise the first designs with a note."""
     kinds = {design.parameters.damping.type for design in first.values()} - {NONE}
     resonance = RESONANCE if request.robust is None else request.robust.resonance
     resonance = resonance if kinds else 0.0  # a law without damping may cancel its resonance
@@ -206,7 +205,7 @@ def _adjusted_together(
     slower = f"the controller around the damping {kind} is slower" if kinds else "the controller is slower"
     ways = [(request, resonance, slower)]
     if request.damping not in (None, NONE):
-        # weaker dampings, then no damping; without damping the law cancels resonances that the plant may have elsewhere
+        # first weaker dampings, then no damping, because then the law cancels resonances whose frequency is uncertain
         ways += [
             (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
             for peak in PEAKS
@@ -233,7 +232,7 @@ def _adjusted_together(
 
 
 def _designed(parameters: StageParameters, request: DesignRequest, known: Uncertainties, bands) -> dict:
-    """Design the axes in ``bands``, each for its bandwidth [Hz], or as requested if its value is not a bandwidth."""
+    """Design the axes in ``bands``, each for its bandwidth [Hz] if that is a number, otherwise as requested."""
     found = {}
     for name, band in bands.items():
         asked = replace(request, bandwidth=band) if isinstance(band, float) else request
@@ -242,7 +241,7 @@ def _designed(parameters: StageParameters, request: DesignRequest, known: Uncert
 
 
 def with_designs(parameters: StageParameters, designs: Mapping[str, AxisDesign]) -> StageParameters:
-    """Return a stage in which the designed controllers replace the controllers of their axes."""
+    """Return a stage with the designed controllers."""
     axes = list(parameters.axes)
     for name, design in designs.items():
         place = parameters.place(name)
@@ -270,7 +269,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 
 
 def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
-    """Return the text of a file with the designed section and the motion limits of each axis, and a common header."""
+    """Return the text of a file with the designed sections, motion limits of each axis, and one header."""
     text, source = configuration.original, configuration.source
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
@@ -280,7 +279,7 @@ def with_sections(configuration: Configuration, designs, header: str, written: C
 
 
 def safe_stage_text(text: str) -> str:
-    """Return the text of a designed stage with limits on the motion of all axes, after a check that it can be built."""
+    """Return the text of a designed stage with motion limits of all axes, after a check that the stage can be built."""
     source = "the designed file"
     given = StageParameters.from_configuration(parse_configuration(text, source))
     stage = given.stage
@@ -296,12 +295,12 @@ class StageLearning:
     """Designed corrections of the axes of a stage that follows a scan."""
 
     designs: dict[str, LearningDesign]  #: Designs by the names of the axes.
-    corrections: dict[str, Learned]  #: Corrections with which the model of the stage follows the scan.
+    corrections: dict[str, Learned]  #: Corrections with which the model of the stage follows the scan exactly.
     left: dict[str, str]  #: Axes without learning, with the reason.
 
 
 def require_no_feedforward(parameters: StageParameters) -> None:
-    """Refuse a feedforward, because the corrections of the reference invert the loops already."""
+    """Refuse a feedforward, because the corrections of the reference already invert the loops."""
     for axis in parameters.axes:
         given = axis.motion_controller.feedforward.type
         if given != "none":
@@ -339,8 +338,7 @@ def design_stage_learning(parameters: StageParameters, request: LearningRequest,
             continue
         design = design_learning(axis, replace(request, period=period / rate), known.get(name))
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
-        # averaged over the periods of this axis, because effects of another axis with a longer period differ between
-        # these periods
+        # averaged over the periods of this axis: the effect of another axis with a longer period differs between them
         own = corrections[place].reshape(-1, period).mean(axis=0)
         own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
         largest = float(np.max(np.abs(own)))

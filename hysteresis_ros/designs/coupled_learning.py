@@ -14,21 +14,21 @@ errors against the undelayed path have the amplitudes E_j = c - T M_j. T (n × n
 displacements, and c is the error without corrections. Neither c nor T is known exactly. Both are estimated at each
 harmonic from the model and from all runs:
 
-- *The model's uncertainty* gives mean and covariance of T before any run, computed over plants whose gains, modes and
-  delays differ from the model, independently for each actuator and each mode. :data:`UNSEEN` represents effects that no
-  model describes.
+- *The model's uncertainty* gives mean and covariance of T before any run. They are computed over plants with other
+  gains, modes and delays, drawn independently for each actuator and each mode. :data:`UNSEEN` represents effects that
+  no model describes.
 - *Each run* is a measurement of c - T M_j. The noise of this measurement is known from the differences between the
   periods of the run. A linear minimum-variance estimate combines both sources (a Kalman filter with a constant state).
 
-The corrections of the next run minimise the expected square of its error,
+The corrections of the next run minimise the expected squared error of this run,
 
     E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c].
 
-This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest. With
-periods, the lifted matrices are diagonal in the harmonics. The covariance of T acts as a weight on the change of the
+This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_, with periods instead of trials from rest; the
+lifted matrices are then diagonal in the harmonics. The covariance of T acts as a weight on the change of the
 corrections. Where the model is uncertain, for example at a mode whose frequency is not well known, the steps are small;
-they grow as the runs reduce the uncertainty. An error is learned only as far as it exceeds its noise (factor 1 -
-σ²/|E|²).
+they grow as the runs reduce the uncertainty. An error is learned only as far as it exceeds its noise (factor 1 - 4
+σ²/|E|², at least 0; 4 is :data:`SIGNIFICANT`).
 
 References
 ----------
@@ -59,20 +59,20 @@ from hysteresis_ros.recordings.dataset import Recording
 
 #: Assumed standard deviation of each entry of T due to effects that no model describes.
 UNSEEN = 0.05
-#: Assumed fraction of an error that does not follow c - T M, because the hysteresis is not linear.
+#: Assumed fraction of an error that deviates from c - T M because of the hysteresis.
 NONLINEAR = 0.1
 #: An error is learned if its square exceeds this multiple of the variance of its noise. Noise alone exceeds the limit
 #: in less than 2 % of the cases.
 SIGNIFICANT = 4.0
 #: The noise of the runs is averaged over this number of harmonics on either side.
 SMOOTHED = 15
-#: Smallest number of periods of a run: one for settling, and two whose difference shows the noise.
+#: Minimum number of periods of a run: one for settling, and two whose difference shows the noise.
 FEWEST = 3
-#: Largest fraction of the samples of an axis that may have no measurement; the average over the periods omits them.
+#: Largest allowed fraction of samples of an axis without a measurement; the average over the periods omits them.
 MOST_MISSING = 0.01
 #: Highest frequency that is learned, as a fraction of the sample rate.
 HIGHEST = 0.45
-#: Magnitude below which a pole is a mere delay, and distance within which poles count as equal.
+#: Modulus below which a pole counts as a delay, and distance below which poles count as equal.
 DELAYING, EQUAL = 0.02, 1e-8
 #: Number of angles that are computed at once.
 BLOCK = 4096
@@ -80,7 +80,7 @@ BLOCK = 4096
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Closed loop T from references to displacements at F harmonics, over all possible stages."""
+    """Closed loop T from references to displacements at F harmonics: mean and covariance over all possible stages."""
 
     mean: np.ndarray  #: shape (F, n, n)
     covariance: np.ndarray  #: shape (F, n, n, n); Covariance of each row.
@@ -92,10 +92,10 @@ class Loops:
 
 
 def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Uncertainty) -> Loops:
-    """Return mean and covariance of the closed loop at angles in the z plane, over all stages within an uncertainty.
+    """Return mean and covariance of the closed loop at ``angles`` [rad], over all stages within an uncertainty.
 
-    Each actuator has its own random gain, slope and delay. Each mode of the structure has its own random factor on the
-    times.
+    Each actuator has its own random gain, slope and delay. Each mode of the structure has its own random factor on its
+    time scale.
     """
     random = np.random.default_rng(possible.seed)
     stage, count = parameters.stage, len(parameters.names)
@@ -139,7 +139,7 @@ def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Un
 
 
 def _slower(pole: complex, residue: np.ndarray, factor: float, z: np.ndarray) -> np.ndarray:
-    """Return the change of the response when a mode becomes slower by a factor, with the same static gain."""
+    """Return the change of the response if a mode becomes slower by a factor and keeps its static gain."""
     moved = pole ** (1.0 / factor)
     change = (1.0 - moved) / (1.0 - pole) / (z - moved) - 1.0 / (z - pole)
     return change[:, np.newaxis, np.newaxis] * residue
@@ -148,8 +148,8 @@ def _slower(pole: complex, residue: np.ndarray, factor: float, z: np.ndarray) ->
 def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
     """Return pole and residue, shape (q, m), of each mode; equal poles are combined.
 
-    Of a conjugate pair, only the pole above the real axis is returned. Poles that are mere delays, and poles on the
-    negative real axis, are not modes in continuous time.
+    Of a conjugate pair, only the pole above the real axis is returned. Poles that count as delays and poles on the
+    negative real axis are omitted, because they are not modes in continuous time.
     """
     import scipy.linalg
 
@@ -168,7 +168,7 @@ def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
 
 
 def _acting(dynamics, z: np.ndarray) -> np.ndarray:
-    """Return the response of an actuator's delay, shape (F,)."""
+    """Return the response of an actuator's dynamics and delay, shape (F,)."""
     row, through = dynamics.acting
     model = dynamics.state_space
     return StateSpace(model.A, model.B, row[np.newaxis], np.array([[through]])).response(z)[:, 0, 0]
@@ -194,7 +194,7 @@ class Belief:
         return cls(np.einsum("fab,fib->fia", turn, mean), covariance)
 
     def given(self, correction, error, variance) -> Belief:
-        """Return the estimate after a further run, from its amplitudes, (F, n) each, and the variance of its errors."""
+        """Return the estimate after a further run, from corrections, errors and their variance, shape (F, n) each."""
         inputs = np.concatenate([np.ones((len(correction), 1)), -correction], axis=1)[:, np.newaxis]
         # row by row: e_i = inputs · row_i + noise
         carried = np.einsum("fnij,fnj->fni", self.covariance, inputs.conj())
@@ -230,7 +230,7 @@ class Trial:
 
 
 def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
-    """Return the result of a run, without the periods in which it settles."""
+    """Return the result of a run without its settling periods."""
     paths = scanned_paths(parameters)
     period = paths.shape[1]
     errors, first = [], 1
@@ -248,7 +248,9 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
         # the first motion from rest may take longer than a period
         settled = 1 + int(np.argmax(same[1:])) if axis.generator.approach.from_rest else 1
         if not np.all(same[settled:]) or whole - settled < FEWEST - 1:
-            raise RecordingError(f"{name}/reference is not the scan of the configuration from its beginning on")
+            raise RecordingError(
+                f"{name}/reference differs from the configured scan; record the scan from its beginning"
+            )
         first = max(first, settled)
         errors.append(wanted - measured[: whole * period].reshape(whole, period))
     found = np.array(errors)[:, first:]
@@ -267,9 +269,9 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
 
 
 def _require_measured(parameters: StageParameters, known: np.ndarray, first: int) -> None:
-    """Refuse a run with too many missing measurements, or without any measurement at a sample of the scan.
+    """Refuse a run with too many missing measurements, or with a sample of the scan that was never measured.
 
-    ``known`` has the shape (n, periods, N), and its first period is the period ``first`` of the run.
+    ``known`` has the shape (n, periods, N); it omits the first ``first`` periods of the run.
     """
     period, remedy = known.shape[2], "check the sensor and the machine (hysteresis doctor), and record the run again"
     for name, own in zip(parameters.names, known, strict=True):
@@ -301,13 +303,13 @@ class CoupledLearning:
 
     @classmethod
     def of(cls, parameters: StageParameters, request: LearningRequest) -> CoupledLearning:
-        """Prepare the learning of a stage; ranges, bandwidth and largest correction come from the request."""
+        """Prepare the learning of a stage; the request gives ranges, bandwidth and largest correction."""
         require_no_feedforward(parameters)
         paths, rate = scanned_paths(parameters), parameters.sample_rate
         period = paths.shape[1]
         if period > LONGEST:
             raise ConfigurationError(
-                f"the scan repeats after {period} samples, but learning takes up to {LONGEST}; choose a shorter frame"
+                f"the scan repeats after {period} samples, but learning allows {LONGEST}; choose a shorter frame"
             )
         highest = HIGHEST * rate if request.bandwidth is None else request.bandwidth
         if not 1.0 <= highest * period / rate < 0.5 * period:
@@ -323,7 +325,7 @@ class CoupledLearning:
         )
 
     def first(self) -> np.ndarray:
-        """Return first-run corrections, shape (n, N) [m], with the least expected error over all possible stages."""
+        """Return the corrections of the first run, shape (n, N) [m]: least expected error over all possible stages."""
         lines = np.fft.rfft(self.paths, axis=1)
         wanted = lines[:, self.places].T
         mean = np.swapaxes(self.loops.mean, 1, 2).conj()
@@ -333,7 +335,7 @@ class CoupledLearning:
         return np.fft.irfft(found, self.paths.shape[1], axis=1)
 
     def after(self, trials: Sequence[Trial]) -> np.ndarray:
-        """Return corrections for the next run after these runs, shape (n, N) [m]."""
+        """Return the corrections of the run after these runs, shape (n, N) [m]."""
         belief: Belief | None = None
         for one in trials:
             given = np.fft.rfft(one.correction, axis=1)[:, self.places].T
@@ -349,7 +351,7 @@ class CoupledLearning:
         return np.fft.irfft(lines, self.paths.shape[1], axis=1)
 
     def learned(self, corrections: np.ndarray) -> dict[str, Learned]:
-        """Return the corrections of each axis in the form in which its file stores them."""
+        """Return the corrections of each axis in the form of its file."""
         step = 1.0 / self.parameters.sample_rate
         return {
             name: Learned(len(own) * step, step, own, axis.generator.initial_setpoint + path)
@@ -359,7 +361,7 @@ class CoupledLearning:
         }
 
     def chosen(self, corrections: np.ndarray, files: dict[str, str]) -> dict[str, LearningParameters]:
-        """Return for each axis the learning parameters that apply the correction in its file (``files``)."""
+        """Return the learning parameters with which each axis applies the correction in its file (``files``)."""
         found = {}
         for name, axis, own in zip(self.parameters.names, self.parameters.axes, corrections, strict=True):
             low, high = reachable_displacements(axis)
@@ -407,7 +409,7 @@ def applied(parameters: StageParameters) -> np.ndarray:
 def coupled_learning_file(
     configuration: Configuration, chosen: dict[str, LearningParameters], runs: Sequence[str]
 ) -> str:
-    """Return the text of the parameter file in which each axis applies the correction in its file."""
+    """Return the text of the parameter file with which each axis applies the correction in its file."""
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     learned = f"learned from {', '.join(runs)}" if runs else "those of the coupled model, before any run"
     header = (
@@ -433,13 +435,13 @@ def learned_from(
 
 
 def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[str]:
-    """Return the printed table of the results of each run for each axis."""
+    """Return the printed lines with the results of each axis in each run."""
     rows = []
     for number, one in enumerate(trials, start=1):
         period = one.error.shape[1]
         for name, error, variance, missing in zip(parameters.names, one.error, one.variance, one.missing, strict=True):
             rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
-            # rfft returns only half of the spectrum, so all amplitudes except the mean count twice
+            # rfft returns half of the spectrum, so all amplitudes except the mean count twice
             noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
             omitted = f"; {missing} samples without a measurement are omitted" if missing else ""
             rows.append(

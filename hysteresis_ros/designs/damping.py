@@ -10,16 +10,16 @@
 """Design of a damping filter for a model: the filter that permits the fastest outer loop, and its performance.
 
 For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
-of ``pid``, and the largest gain g of the PID follows in closed form on a grid of frequencies: if X is the loop for g =
-1, |1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The filter is judged by its worst result on
-several plants: the model, and plants with lower and higher resonances. The inner loop alone, and the loop with both
-feedbacks, cut at the plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are
-tried on a grid that is refined around the best filter; the result has four digits.
+of ``pid``. The largest gain g of the PID follows in closed form on a grid of frequencies: if X is the loop for g = 1,
+|1 + g X| ≥ 1/M_s is a quadratic inequality in g at each frequency. A filter counts by its worst result on several
+plants: the model, and plants with lower and higher resonances. The inner loop alone, and the loop with both feedbacks,
+cut at the plant, must also have M_s ≤ 2; the latter should tolerate one more sample of delay. Filters are tried on a
+grid that is refined around the best filter; the result has four digits.
 
 References
 ----------
-.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (rates a damping by the
-   integral action around the damped plant).
+.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (ranks a damping by the integral gain
+that the damped plant permits).
 """
 
 from __future__ import annotations
@@ -50,29 +50,29 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_me
 from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.sensor import ForceParameters
 
-#: M_s at which a search aims, for the loop of the law and for the loop cut at the plant.
+#: M_s at which the search aims, for the law's loop and for the loop cut at the plant.
 SENSITIVITY = 1.9
-#: Default relative uncertainty of the frequencies of resonances.
+#: Default relative uncertainty of resonance frequencies.
 RESONANCE = 0.1
-#: Number of points of the grid in each dimension, by the number of dimensions; number of refinements.
+#: Number of grid points in each dimension, for 1, 2 or 3 dimensions; number of refinements.
 POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
-#: Number of frequencies of the grid on a linear and on a logarithmic scale, and around each resonance.
+#: Number of grid frequencies on the linear and on the logarithmic scale (each), and around each pole of the plants.
 GRID, AROUND = 120, 41
-#: Step with which frequencies are taken from the grid for the first test of a filter.
+#: The first test of a filter uses only every FEW-th frequency of the grid.
 FEW = 6
 #: Smallest damping ratio of any mode of the inner loop. A smaller ratio is allowed if it is at least MUCH times the
 #: damping ratio of the plant's mode.
 WELL, MUCH = 0.02, 5.0
-#: Allowance for rounded poles: a filter is rejected early only if its computed speed, times this factor, is below the
-#: best speed so far.
+#: Allowance for rounded poles: a filter is rejected early only if this factor times its speed does not exceed the best
+#: speed so far.
 CLEARLY = 1.001
 #: Damping ratio above which a mode needs no damping filter.
 DAMPED = 0.7
 
 
 def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None) -> Mode:
-    """Return the least damped resonance.
+    """Return the least damped resonance of the model.
 
     Units: ``sample_time`` [s].
     """
@@ -87,7 +87,7 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForcePar
 def damping_plants(
     dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the plants on which a damping is judged: the model, and plants with all times shorter and longer.
+    """Return the plants on which a damping is evaluated: the model, and plants that are faster and slower.
 
     Units: ``sample_time`` [s].
     """
@@ -103,14 +103,14 @@ def design_damping(
     force: ForceParameters | None = None,
     peak: float = REQUIRED.sensitivity_peak,
 ) -> DampingParameters:
-    """Return the damping filter of a kind for a model; a lower ``peak`` (largest M_s) gives a weaker damping.
+    """Return the best damping filter of a kind for a model; a lower ``peak`` (largest M_s) gives a weaker damping.
 
     Units: ``sample_time`` [s].
     """
     search = _Search(kind, dynamics, sample_time, plants, force, peak)
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
-    # search for filters that tolerate one more sample of delay; if there are none, search with the modelled delay
+    # first search for a filter that tolerates one more sample of delay; without success, one for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
@@ -132,7 +132,7 @@ class _Points:
 
 
 class _Search:
-    """Responses of the plants on a grid of frequencies, and the search for a filter on them."""
+    """Search for a filter, with the responses of the plants on a grid of frequencies."""
 
     def __init__(self, kind: str, dynamics: LinearParameters, sample_time: float, plants, force, peak: float):
         self.mode = mode_to_damp(dynamics, sample_time, force)
@@ -150,7 +150,7 @@ class _Search:
         return replace(DampingParameters(), type=self.kind.name, **{self.kind.name: self.kind.chosen(point, self.mode)})
 
     def speed(self, point, late: float, least: float) -> float:
-        """Return the integral gain [1/s] of the fastest PID around the filter at a point of the search.
+        """Return the integral gain [1/s] of the fastest PID around the filter at a point; 0: not above ``least``.
 
         Units: ``late`` [samples].
         """
@@ -164,8 +164,8 @@ class _Search:
         poles = found.poles
         if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
             return 0.0
-        # most filters are much slower than the best one; a few frequencies and rounded poles suffice to reject them,
-        # and take much less time than all frequencies and exact poles
+        # most filters are much slower than the best one; a quick test with a few frequencies and rounded poles rejects
+        # them
         outer, Ki = self._outer(slowest_poles(found, poles.tolist()))
         for largest in (self._bound, self._gain):
             if not largest(loop, outer) * Ki * CLEARLY > least:
@@ -183,14 +183,14 @@ class _Search:
         return pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off), self.sample_time), Ki
 
     def _loops(self, loop: InnerLoop, outer: StateSpace, points: _Points):
-        """Return for each plant 1 + L of the inner loop, and the open loop of the law."""
+        """Return for each plant 1 + L of the inner loop, and the law's open loop without the inner loop."""
         filtered = loop.feedback.response(points.z)[:, 0, 0]
         forward = outer.response(points.z)[:, 0, 0] * (filtered if loop.source == COMMAND else loop.forward)
         back = 0.0 if loop.source == COMMAND else filtered
         return [(1.0 - back * (P * loop.seen[0]).sum(axis=1), forward * P[:, 0]) for P in points.responses]
 
     def _bound(self, loop: InnerLoop, outer: StateSpace) -> float:
-        """Return an upper bound of the gain of :meth:`_gain`, computed at a few frequencies only."""
+        """Return an upper bound of the result of :meth:`_gain`, computed at a few frequencies only."""
         loops = self._loops(loop, outer, self.few)
         if max(float(np.max(1.0 / np.abs(left))) for left, _ in loops) > self.peak:
             return 0.0
@@ -209,7 +209,7 @@ class _Search:
         return gain * min(1.0, (self.aimed / whole) ** 2)
 
     def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
-        """Return whether inner loop, outer loop and the loop cut at the plant meet the requirements on all plants."""
+        """Return whether inner loop, outer loop and the loop cut at the plant meet their requirements on all plants."""
         whole = loop.behind(outer)
         for one in self.plants:
             around = loop.around(one.plant)
@@ -227,12 +227,12 @@ class _Search:
         return True
 
     def _damps(self, poles) -> bool:
-        """Return whether every mode of an inner loop is well damped, or much better damped than the plant's mode."""
+        """Return whether every mode of an inner loop is well damped, or far better than the model's resonance."""
         left = modes(poles, self.sample_time)
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that tolerates this additional delay [samples]; None if no damping does."""
+        """Return the best damping that tolerates the additional delay ``late`` [samples]; None if none does."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)
@@ -284,7 +284,7 @@ def _spread(side, count: int) -> np.ndarray:
 
 
 def _around(box, point):
-    """Return the box between the grid neighbours of a point, limited to the present box."""
+    """Return the box between the neighbours of a point on the grid, within the present box."""
     found = []
     for side, value in zip(box, point, strict=True):
         grid = _spread(side, POINTS[len(box)])
@@ -293,7 +293,7 @@ def _around(box, point):
     return tuple(found)
 
 
-#: A damping counts as of little use if it raises the bandwidth by less than this factor.
+#: A damping is of little use if it raises the bandwidth by less than this factor.
 LITTLE = 1.2
 #: A law that only outputs the reference, so that the inner loop alone remains.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
@@ -301,13 +301,13 @@ _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ar
 
 @dataclass(frozen=True, eq=False)
 class PlantsAround:
-    """Plants on which a damping is judged."""
+    """Plants on which a damping is evaluated."""
 
     plants: tuple[PossiblePlant, ...]  #: Plants without damping, the model first.
-    resonance: float  #: Relative deviation of the resonances of the other plants.
+    resonance: float  #: Relative deviation of the resonances in the other plants.
 
     def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
-        """Return the plants, each with the damping of a controller closed around it.
+        """Return the plants with the damping loop of a controller closed.
 
         Units: ``sample_time`` [s].
         """
@@ -317,21 +317,21 @@ class PlantsAround:
 
 @dataclass(frozen=True, eq=False)
 class DampedDesign:
-    """A damping and the controller around it, judged on the model and on plants around the model."""
+    """A damping and the controller around it, evaluated on the model and on plants with deviating resonances."""
 
     damping: DampingParameters
     before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
     reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop on each plant, the model first.
-    #: inner, outer, whole: Margins on each plant: of the inner loop alone, of the law's loop on the damped plant, and
-    #: of both loops, cut at the plant.
+    #: inner, outer, whole: Margins on each plant, for the inner loop alone, for the law's loop on the damped plant, and
+    #: for both loops, cut at the plant.
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
-    resonance: float  #: Relative deviation of the resonances of these plants.
-    undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if there is no such design.
+    resonance: float  #: Relative deviation of the resonances in the other plants.
+    undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if no such design was found.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the law's loop or of both loops, on any plant."""
+        """Return the first unmet requirement of the law's loop or of both loops, on any plant."""
         for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
             for number, margins in enumerate(found):
                 said = margins.misses()
@@ -342,7 +342,7 @@ class DampedDesign:
 
     @property
     def times(self) -> float:
-        """Bandwidth divided by the bandwidth of the same design without damping; infinite without such a design."""
+        """Ratio of the bandwidth to that of the same design without damping; infinite without such a design."""
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:
@@ -381,7 +381,7 @@ class DampedDesign:
 
 
 def around_model(control: ControllerParameters, sample_time: float, request) -> PlantsAround:
-    """Return the model, and plants with lower and with higher resonances.
+    """Return the model, and plants with lower and with higher resonance frequencies.
 
     Units: ``sample_time`` [s].
     """
@@ -401,7 +401,7 @@ def _require(name: str) -> None:
 def with_damping(
     control: ControllerParameters, sample_time: float, around: PlantsAround, request
 ) -> ControllerParameters:
-    """Return the parameters with the requested damping, or unchanged without a request.
+    """Return the parameters with the requested damping; unchanged without a request.
 
     Units: ``sample_time`` [s].
     """

@@ -127,7 +127,7 @@ def asked(options: dict) -> LearningRequest | None:
         raise ConfigurationError(f"--learning {kind}: unknown design; there are {known}{did_you_mean(kind, kinds)}")
     maximum = given.get("maximum")
     if maximum is not None and not 0.0 < maximum <= 1.0:
-        raise ConfigurationError(f"--maximum {maximum:g}: must be a correction in metres above 0")
+        raise ConfigurationError(f"--maximum {maximum:g}: must be > 0 m and ≤ 1 m")
     possible = {item.name: getattr(POSSIBLE, item.name) for item in fields(POSSIBLE)}
     try:
         plants = Uncertainty(**possible | ranges)

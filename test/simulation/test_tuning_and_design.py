@@ -289,7 +289,7 @@ def test_a_robust_design_says_for_which_plants_it_is(tmp_path):
         (["--robust", "--gain-range", 0.9], "--gain-range = 0.9: must be within 0 … 0.5"),
         (["--robust", "--bandwidth", 5.0], "--robust and --bandwidth exclude each other"),
         (["--robust", "--criterion", "iae"], "--robust and --criterion exclude each other"),
-        (["--noise", 0.0], "--noise 0: must be a noise in metres above 0"),
+        (["--noise", 0.0], "--noise 0: must be > 0 m"),
         (["--noise", "2"], "'2': of which unit? Write 2um or 2mm"),
         (["--noise", "2V"], "'2V': is in V, must be in m"),
     ],
