@@ -53,9 +53,9 @@ from hysteresis_ros.references.recipes import (
 )
 from hysteresis_ros.units import quantity, readable
 
-#: Default peak of the excitation, as a fraction of the range.
+#: Default peak amplitude of the excitation, as a fraction of the range.
 AMPLITUDE = 0.05
-#: Time at the operating point before and after the excitation, in which creep decays [s].
+#: Hold time at the operating point before and after the excitation, in which creep decays [s].
 WAIT = 1.0
 
 
@@ -66,8 +66,8 @@ class ResponseRequest:
     experiment: Experiment
     loop: str = "open"  #: ``open`` or ``closed``.
     at: str | None = None  #: Point of excitation: ``voltage``, ``command`` or ``reference``.
-    #: amplitude, offset: Peak of the excitation, and operating point. A number without a unit is a fraction of the
-    #: range. By default :data:`AMPLITUDE` and the middle of the range.
+    #: amplitude, offset: Peak amplitude of the excitation, by default :data:`AMPLITUDE`, and operating point, by
+    #: default the middle of the range. A number without a unit is a fraction of the range.
     amplitude: str | None = None
     offset: str | None = None
 
@@ -83,7 +83,7 @@ class ResponseRequest:
 def response_run(
     configuration: Configuration, namespace: str | None, asked: ResponseRequest, path
 ) -> tuple[AxisParameters, Plan]:
-    """Return the axis with the excitation, and the plan that describes the excitation in the recording."""
+    """Return the axis that outputs the excitation, and the plan of the excitation for the recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     generator = axis.require_generator(
         f"{configuration.source}: the response of an inchworm motor cannot be measured; measure its extender alone, in "
@@ -122,7 +122,7 @@ def response_run(
 
 
 def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
-    """Return an excitation around an operating point, with ramps at its beginning and end, and its plan.
+    """Return an excitation around an operating point, with a ramp at the beginning and at the end, and its plan.
 
     Units: ``rate`` [Hz]; ``peak``, ``middle`` and ``rest`` are in volts for an excitation of the voltage, else in
     metres.
@@ -134,13 +134,13 @@ def around(samples, peak: float, middle: float, rest: float, rate: float, plan: 
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
-    """Return an axis' linear controller, including its damping, and the controller's linear model of the plant."""
+    """Return the linear controller of an axis, including damping, and the controller's linear model of the plant."""
     sample_time = 1.0 / axis.motion_controller.sample_rate
     return whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)
 
 
 def _prefilter(axis: AxisParameters, sample_time: float):
-    """Return the function that maps frequencies to the amplitudes of the reference for a command of amplitude 1."""
+    """Return a function that gives, for each frequency, the reference amplitude for a command amplitude of 1."""
     controller, _ = measured_loop_parts(axis)
 
     def shape(frequencies):
@@ -151,7 +151,7 @@ def _prefilter(axis: AxisParameters, sample_time: float):
 
 
 def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_range: float, begin: float) -> float:
-    """Return the value of an option in the unit of the excitation; a number without unit is a fraction of the range."""
+    """Return an option in the unit of the excitation; a number without a unit is a fraction of the range."""
     span = ends[1] - ends[0]
     if text is None:
         return begin + part_of_range * span
@@ -169,7 +169,7 @@ def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_r
 
 
 def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
-    """Refuse an excitation with a response smaller than the sensor noise given in the file."""
+    """Refuse an excitation whose response is too small for the sensor noise in the file."""
     noise = axis.plant_simulator.sensor.noise
     if axis.plant_simulator.driver or axis.plant_simulator.external_plant or not noise > 0.0:
         return
@@ -194,7 +194,7 @@ def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
 
 
 def _configured(configuration, loop: str, place: str, path: str, limits, gain: float, rest: float) -> Configuration:
-    """Return the configuration with which the measurement runs."""
+    """Return the configuration of the measurement."""
     if place == "voltage":
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
         return driven(configuration, limits, gain, waveform)
@@ -202,12 +202,12 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if loop == "open":
         configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
-        # the amplitudes of the reference were computed for the law without feedforward
+        # the reference amplitudes were computed for the law without feedforward
         configuration = configuration.override("motion_controller", **UNFED)
     return configuration
 
 
-#: Levels that are printed relative to the response, in dB.
+#: Printed levels, relative to the response [dB].
 LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
 
@@ -217,16 +217,16 @@ class AxisResponse:
 
     plan: Plan
     #: Response from voltage or command to the measured displacement. For a closed loop with an unknown controller, the
-    #: input of the response is reference − measured.
+    #: input is reference − measured.
     plant: Analysis
-    loop: MeasuredLoop | None = None  #: Loop transfer function, from a measurement in closed loop.
+    loop: MeasuredLoop | None = None  #: Loop transfer function, for a measurement in closed loop.
     model: np.ndarray | None = None  #: shape (F,); Response of the controller's model of the plant at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,); Loop of the controller with this model, at the lines.
-    margins: Margins | None = None  #: Margins of the controller with its own model.
+    margins: Margins | None = None  #: Margins of the controller on its own model.
 
     @property
     def figures(self) -> dict:
-        """The available figures, by names that contain their units."""
+        """The available figures; their names contain the units."""
         response = self.plant.response
         found: dict = {
             "excitation": self.plan.kind,
@@ -259,7 +259,7 @@ class AxisResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Columns at the frequency lines in addition to the plant's response, by names that contain their units."""
+        """Further columns at the frequency lines, besides the response; their names contain the units."""
         found = {}
         if self.loop is not None:
             responses = {"loop": self.loop.loop, "sensitivity": self.loop.sensitivity}
@@ -297,7 +297,7 @@ class AxisResponse:
         return [f"{name:<{width}}  {text}" for name, text in rows] + [f"note: {text}" for text in response.warnings]
 
     def _levels(self) -> dict[str, float]:
-        """Return noise and distortion relative to the response [dB], medians over the lines."""
+        """Return the median over the lines of noise and distortion, relative to the response [dB]."""
         levels, size = self.plant.distortion, np.abs(self.plant.response.single)
         if levels is None:
             return {}
@@ -310,7 +310,7 @@ class AxisResponse:
 
 
 def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None = None) -> AxisResponse:
-    """Return the response of an axis, from a recording with an excitation."""
+    """Return the response of an axis from a recording of an excitation; ``axis`` gives controller and model."""
     sample_time, y = recording.sample_time, recording["measured"]
     if plan.loop == "open":
         u = recording[plan.at]
@@ -318,7 +318,7 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
     else:
         reference = recording["reference"]
         if recording.has("seen"):
-            # the loop is closed through the controller's input, which may be delayed relative to the measurement
+            # the controller's input, which may be delayed relative to the measurement, closes the loop
             y = np.where(np.isfinite(recording["seen"]), recording["seen"], y)
         u = recording["command"] if axis is not None else reference - y
         plant = analyse(plan, sample_time, u, y, reference, "m")
@@ -343,12 +343,12 @@ def _require_finite(plant: Analysis) -> None:
 
 
 def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
-    """Return the response together with the response of the axis' model."""
+    """Return the response with that of the axis' model and, in closed loop, the model's loop and margins."""
     controller, plant = measured_loop_parts(axis)
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # here the model is scaled to the measured gain, not the measured response to the gain of the model
+    # here the model is scaled to the measured gain; elsewhere the measured response is scaled to the gain of the model
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
@@ -358,7 +358,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the path of the file with the plan of the excitation; it is next to the recording."""
+    """Return the path of the file, next to the recording, that contains the plan of the excitation."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
@@ -369,12 +369,12 @@ def read_plan(path) -> Plan:
         return Plan.from_text(str(read_arrays(path)["plan"]))
     except (OSError, ValueError, KeyError):
         raise RecordingError(
-            f"{path}: contains no plan of an excitation; give the file that hysteresis frf wrote"
+            f"{path}: contains no excitation plan; give the file …_excitation.npz that hysteresis frf wrote"
         ) from None
 
 
 def contained_plan(recording: Recording) -> Plan | None:
-    """Return the plan of the excitation from the waveform of a recorded run; None if there is no plan."""
+    """Return the plan of the excitation in the waveform file of a recorded run; None without a plan."""
     for content in available(recording.metadata.get("files", {})):
         with contextlib.suppress(OSError, ValueError, KeyError):
             return Plan.from_text(str(read_arrays(io.BytesIO(content), lambda name: name == "plan")["plan"]))
@@ -389,7 +389,7 @@ def recorded_response(
     period: float | None = None,
     kind: str | None = None,
 ) -> AxisResponse:
-    """Return the response of the axis in a recording; by default, the plan is found in the recording."""
+    """Return the response of the axis in a recording; without ``plan``, the recorded or a detected plan is used."""
     axis = _axis(recording)
     if plan is None and period is None and kind is None:
         plan = contained_plan(recording)

@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of any controller: designed from a model for a bandwidth, robust to uncertainty, or tuned by a simulation.
+"""Gains of any controller: designed for a bandwidth, robust to uncertainty, or tuned by simulation.
 
 Every law declares its designs (:mod:`hysteresis_ros.control.law`); this module contains the common part.
 
-All random plants are drawn before the design, so equal seeds give equal gains. The search starts with the model and the
-corners of its uncertainty. Then the plant with the worst violation of the requirements is added to the search, until
-all plants meet them.
+A robust design draws all random plants before the search, so equal seeds give equal gains. The search starts with the
+model and the corners of its uncertainty. The plant with the worst violation of the requirements is then added, again
+and again, until all plants meet the requirements.
 
-The tuning never uses the simulated plant of the file, because a design must not depend on it. It uses a plant that
-consists of the compensator's hysteresis, creep and limits, and of the dynamics and preload of the controller's model,
-without noise. The inverse of this hysteresis is perfect, so that little more than linear dynamics and limits remains;
-the criterion alone would drive the gains to the stability limit. Therefore the cost is infinite for gains that violate
-the margins required of every design, or a delay margin of 1.3 samples.
+The tuning never uses the simulated plant of the file, because a design must not depend on it. Its plant has the
+hysteresis, creep and limits of the compensator, the dynamics and preload of the controller's model, and no noise. For
+this plant the inverse is perfect, so little more than linear dynamics and limits remains, and the criterion alone would
+drive the gains to the stability limit. Therefore the cost is infinite for gains that violate the margins required of
+every design, or a delay margin of 1.3 samples.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Designed:
 
 
 def require_minimal(dynamics) -> None:
-    """Refuse a model that is not controllable or not observable."""
+    """Refuse a model that is not controllable or observable."""
     problems = [replace(problem, name=f"model.dynamics.{problem.name}") for problem in dynamics.check()]
     if problems:
         raise ParameterError(problems)
@@ -78,7 +78,7 @@ def design_gains(
     aimed: Requirements = AIMED,
     plants: tuple[PossiblePlant, ...] = (),
 ) -> Designed:
-    """Return the controller of the given name for the model in ``parameters``, with its damping if there is one.
+    """Design the named controller for the model in ``parameters``; their damping, if any, is part of the plant.
 
     Units: ``sample_time`` [s], ``bandwidth`` [Hz].
     """
@@ -97,8 +97,7 @@ def design_gains(
     return Designed(found, margins(found, sample_time))
 
 
-#: A search aims at this fraction of the allowed M_s, because its grid of frequencies is coarser than that of the
-#: margins.
+#: A search aims at this fraction of the allowed M_s, because its frequency grid is coarser than that of the margins.
 COARSE = 0.99
 #: Maximum number of plants that are added to the search.
 ROUNDS = 8
@@ -121,7 +120,7 @@ class Robustness:
         return sizes.index(max(sizes))
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return (name, text) of the rows that a design prints about the margins."""
+        """Return (name, text) of the printed rows about the margins."""
         ranges, found = self.uncertainty, self.margins[self.worst]
         drawn = (
             f"{len(self.plants)}: gain ±{100.0 * ranges.gain:g} %, hysteresis ±{100.0 * ranges.hysteresis:g} %, times "
@@ -137,7 +136,7 @@ class Robustness:
         ]
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return the unmet requirements on the worst plant."""
+        """Return the first unmet requirement, on the worst plant if possible."""
         order = [self.worst, *range(len(self.plants))]
         for i in order:
             said = self.margins[i].misses(required)
@@ -206,7 +205,7 @@ def design_robust(
     return found, judged
 
 
-#: Criteria: integral of the absolute, squared, or time-weighted absolute error; time counts from the start of the run.
+#: Criteria: integral of the absolute, the squared, and the time-weighted absolute error, over the time since the start.
 CRITERIA = ("iae", "ise", "itae")
 #: Iterations and tolerance of the search.
 ITERATIONS = 200
@@ -217,17 +216,17 @@ TOLERANCE = 1e-3
 class Tuned:
     """Result of :func:`tune`."""
 
-    gains: Parameters  #: Best gains, as a parameter group of the law.
+    gains: Parameters  #: Best gains, as the parameter group of the law.
     criterion: str  #: ``iae``, ``ise`` or ``itae``.
-    before: float  #: before, after: Criterion at the start and at the end [m s, m² s or m s²].
+    before: float  #: before, after: Value of the criterion for the initial and the final gains [m s, m² s or m s²].
     after: float
     #: shape (iterations + 1, n + 1); The n gains declared by the law, and the criterion, after each iteration.
     history: np.ndarray
-    converged: bool  #: False: the limit of iterations was reached; the gains are the best ones found.
+    converged: bool  #: False: the search reached the iteration limit; the gains are the best so far.
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:
-    """Return the axis with a plant that is built from the models of its compensator and controller."""
+    """Return the axis with a plant built from the models of its compensator and controller."""
     compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
     plant = replace(
         parameters.plant_simulator,
@@ -261,13 +260,13 @@ def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -
     samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
     if samples < 2:
         raise ConfigurationError(
-            "the waveform has no end (samples: 0): give the length of the simulation with --duration S"
+            "the waveform has no end (samples: 0): give the duration of the simulation with --duration S"
         )
     return np.full(samples, parameters.generator.initial_setpoint)
 
 
 def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
-    """Return the reference, delayed by the preview, minus the true displacement [m]."""
+    """Return the error [m]: reference delayed by the preview, minus true displacement, without the preload offset."""
     preview = control.feedforward.preview
     wanted = signals["reference"][: len(signals["reference"]) - preview]
     return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
@@ -329,7 +328,7 @@ def tune(
     begin = np.array([getattr(first, name) for name in names])
     before = cost(begin)
     if not np.isfinite(before):
-        controller_block(with_gains(control, first), sample_time)  # raises an error for invalid gains
+        controller_block(with_gains(control, first), sample_time)  # raises the error about invalid gains
         raise ConfigurationError(
             f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
             f"{required.delay_margin:g} samples; start from lower gains"

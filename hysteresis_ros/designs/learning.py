@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of the learned correction of an axis: closed loop, contracting filters, and the parameter file."""
+"""Design of the learned correction of an axis: closed loop, filters with contraction, and the parameter file."""
 
 from __future__ import annotations
 
@@ -49,35 +49,35 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Default set of possible plants: 5 % uncertainty of the gain; 8 % of all times, 3 % more than of the gain because of
-#: the identification; residual hysteresis after the inverse; and a fraction of a sample of delay.
+#: Default uncertainty of the plants: gain 5 %; all times 8 %, of which 3 % are due to the identification; residual
+#: hysteresis after the inverse; and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and largest difference between command and achieved command (saturation) with which learning
-#: continues, as fractions of the stroke.
+#: Largest correction, and largest saturation (command minus achieved command) at which learning continues, as fractions
+#: of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Initial learning gain, number of periods after which the gain falls as 1/n, and its lower limit.
+#: Initial learning gain; constant c of the later gain c/n in period n; and lower limit of the gain.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Number of periods of learning after which the error is predicted, and numbers of periods of the runs without learning
-#: that the prediction needs.
+#: Number of learning periods after which the error is predicted; periods of the runs without learning that give the
+#: repeating error.
 LEARNED, RUNS = 20, (6, 24, 96)
-#: Largest number of samples of any of these runs except the first.
+#: Maximum number of samples of these runs, except the first.
 LONGEST_RUN = 1_000_000
-#: Smallest and largest number of samples of an impulse response, and largest fraction of the response that may remain
-#: at its end.
+#: Minimum and maximum number of samples of an impulse response, and the fraction of its peak that may remain at its
+#: end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
-#: Largest number of frequencies.
+#: Maximum number of frequencies.
 MOST = 2**13
-#: A closed loop counts as settled when at most this fraction of its response remains.
+#: A closed loop has settled when at most this fraction of its response remains.
 SETTLED = 0.02
 #: Number of samples before an impulse, in which flags and counters reach their steady values.
 BEFORE = 4
-#: Relative uncertainty of the response above which nothing is learned: at best, the error would contract slowly.
+#: Relative uncertainty of the response above which nothing is learned, because the error would contract slowly at best.
 LEARNABLE = 0.5
-#: Number of directions (phases) in which a relative uncertainty of the response is tried.
+#: Directions (phases) in which a relative uncertainty of the response is tried.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 
-#: Kind of learning in which the corrections of all axes of a stage are learned together, from run to run.
+#: Kind of learning that learns the corrections of all axes of a stage together, from run to run.
 COUPLED = "coupled"
 
 
@@ -87,18 +87,19 @@ class LearningRequest:
 
     kind: str  #: ``inversion``, ``norm_optimal``, ``repetitive`` or ``coupled``.
     period: float | None = None  #: Period of the reference [s]; by default the period of the configured waveform.
-    #: Bandwidth of the learning [Hz]; by default the bandwidth with the least error, or the highest contracting one.
+    #: Bandwidth of the learning [Hz]; by default the one with the least predicted error; without a prediction, the
+    #: highest one with contraction.
     bandwidth: float | None = None
     maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
-    possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
+    possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the error must contract.
 
 
-#: Command-line options of a design of learning except the ranges; and the options that no other design has.
+#: Command-line options of a design of learning, except the ranges; and those that only this design has.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
 def asked(options: dict) -> LearningRequest | None:
-    """Return the request for learning from command-line options; None if they request a controller."""
+    """Return the learning request in command-line options; None if they request a controller."""
     given = {name: value for name, value in options.items() if value is not None and value is not False}
     ranges = {
         name: given.pop(option.replace("-", "_"))
@@ -146,11 +147,11 @@ class LearningDesign:
     filters: Filters
     response: Response  #: The closed loop of the design.
     sample_time: float  #: [s]
-    #: Whether the bandwidth was chosen without regard to the noise of the sensor, because the reference is unknown.
+    #: Whether the bandwidth was chosen without regard to sensor noise, because the reference is unknown.
     unweighed: bool = False
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return the factor per period for the slowest part of the error, at the initial learning gain."""
+        """Return the factor by which the slowest part of the error falls in a period, at the initial learning gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -161,10 +162,10 @@ class MeasuredPlant:
     """Measured response of a plant, divided by the response of its model."""
 
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
-    ratio: np.ndarray  #: shape (F,); Ratio at the lines; outside their range, at() uses the ratio of the nearest line.
+    ratio: np.ndarray  #: shape (F,); Ratio at the lines; beyond them, at() uses the nearest line.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the ratio at any frequencies.
+        """Return the interpolated ratio at any frequencies.
 
         Units: ``frequency`` [Hz].
         """
@@ -176,10 +177,11 @@ class MeasuredPlant:
 def closed_loop(
     node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> Response:
-    """Return the closed loop from reference to displacement, for the model and for possible plants.
+    """Return the closed loop from reference to displacement, for the model and for all possible plants.
 
     u_r and u_d are the commands of the controller (feedforward, law and all other blocks) after an impulse of the
-    reference and of the measurement. On another plant P' the closed loop is T' = P' u_r / (1 − u_d (P' − P)).
+    reference and of the measurement, with the model P as plant. For another plant P' the closed loop is T' = P' u_r /
+    (1 − u_d (P' − P)).
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
     model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
@@ -217,8 +219,8 @@ def closed_loop(
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
     """Return the closed loop's commands, shape (count,), after an impulse, divided by :data:`TINY`.
 
-    ``reference`` and ``measured`` are the sizes of the impulse in the reference and in the measurement: :data:`TINY` in
-    one signal, 0 in the other. ``model`` is the linear plant.
+    ``reference`` and ``measured`` are the impulse heights in these signals: :data:`TINY` in one, 0 in the other.
+    ``model`` is the linear plant.
     """
     control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
@@ -279,7 +281,7 @@ def design_learning(
 
 
 def with_known_noise(axis: AxisParameters, configuration: Configuration) -> AxisParameters:
-    """Return an axis with the sensor noise that an identification has found, unless its sensor already has noise."""
+    """Return the axis with the sensor noise of its identification, unless its sensor already has noise."""
     found = next((values for name, values in configuration.entries if name == SECTION), {}).get("metrics.noise_rms_m")
     plant = axis.plant_simulator
     if plant.sensor.noise or not isinstance(found, float) or not 0.0 < found < np.inf:
@@ -290,13 +292,13 @@ def with_known_noise(axis: AxisParameters, configuration: Configuration) -> Axis
 def expected_error(
     axis: AxisParameters, possible: Uncertainty, loop: Response, period: int
 ) -> Callable[[Filters], float] | None:
-    """Return a function that predicts the RMS error [m] after :data:`LEARNED` periods of learning with given filters.
+    """Return a function that predicts the RMS error [m] of filters after :data:`LEARNED` periods of learning.
 
     The result is None if the sensor has no noise, because then the highest bandwidth is the best. It is also None if
     the reference of the axis does not repeat with the period, because then the error is unknown. The repeating error
-    without learning is taken from a run of the axis on its own plant. Errors of the inverse's model, and of a plant
-    with another linear response, are added according to the ranges of the possible plants. Learning converges to (1 −
-    Q)/(1 − Q + G T) of the repeating error, and adds the part of the noise that its averaging leaves.
+    without learning is taken from a run of the axis on its own plant. Errors due to the inverse's model and due to
+    another linear response are added, according to the ranges of the possible plants. Learning leaves (1 − Q)/(1 − Q +
+    G T) of the repeating error, and adds the noise that its averaging does not remove.
 
     Units: ``period`` [samples].
     """
@@ -338,7 +340,7 @@ def expected_error(
 
 
 def _repeated(axis: AxisParameters, period: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the spectra of reference and measured error in a period without learning and noise, shape (N // 2 + 1,).
+    """Return the spectra of reference and error in a period without learning and noise, shape (N // 2 + 1,).
 
     None if the reference is at rest, or does not repeat with the period.
     """
@@ -364,7 +366,7 @@ def settling(loop: Response) -> int:
 
 
 def knocked(loop: Response) -> int:
-    """Return the time in which the identified closed loop recovers from one wrong sample of the voltage [samples].
+    """Return the time in which the identified closed loop recovers from a single wrong voltage [samples].
 
     The loop has recovered when the response stays below :data:`SETTLED` of its largest value.
     """
@@ -375,7 +377,7 @@ def knocked(loop: Response) -> int:
 
 def waveform_period(axis: AxisParameters) -> float:
     """Return the period of the configured waveform [s]."""
-    missing = "--period is missing: {} has no period; give the period of the reference [s]"
+    missing = "--period is missing, because {} has no period; give the period of the reference [s]"
     waveform = axis.require_generator(missing.format("a sequencer")).waveform
     if waveform.type not in PERIODIC or not waveform.frequency > 0.0:
         raise ConfigurationError(missing.format(f"waveform.type {waveform.type}"))
@@ -413,7 +415,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
 
 
 def periods_to(rate: float, part_left: float = 0.1) -> int:
-    """Return the number of periods in which an error falls to ``part_left``; ``rate`` is its factor per period."""
+    """Return the number of periods in which an error falls to ``part_left``; ``rate`` is the factor per period."""
     return math.ceil(math.log(part_left) / math.log(rate))
 
 

@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Filters of the learned correction for a given closed loop: three designs, and the contraction of the error.
+"""Filters of the learned correction for a closed loop: three designs, and the contraction of the error.
 
-T is the closed loop from reference to measured displacement for the model, T_p the same closed loop for another
-possible plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest
-bandwidth at which |Q − G T_p| + ε |G|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all
-frequencies and on all plants. If noise and repeating error are known, the design chooses the bandwidth with the least
-remaining error, which may be lower. ε is :data:`UNSEEN`.
+T is the closed loop from reference to measured displacement with the model, T_p that with another possible plant. From
+one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at which |Q − G
+T_p| + ε |G|, computed with the truncated filters, is at most 1 − :data:`MARGIN` at all frequencies and on all plants; ε
+is :data:`UNSEEN`. If noise and repeating error are known, the design chooses the bandwidth with the least remaining
+error, which may be lower.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -42,18 +42,18 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.linear_algebra import rounded
 
-#: Required distance of the contraction factor below 1.
+#: The contraction factor must be at most 1 minus this margin.
 MARGIN = 0.1
-#: ε: uncertainty of the closed loop, relative to its DC gain (assumed).
+#: ε: assumed uncertainty of the closed loop, relative to its DC gain.
 UNSEEN = 0.15
-#: Number of taps of Q on each side of the middle tap, if the period is long enough; G has as many taps as Q.
+#: Number of taps of Q on each side of the middle tap, if the period is long enough.
 HALF = 64
 #: Bandwidths that are tried, as fractions of the sample rate: highest, lowest, and their number.
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
 #: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02
-#: The contraction factor in the notches of Q should be this far below 1; the distance is larger than MARGIN, because
-#: truncation of the filters reduces it.
+#: In the notches of Q, the contraction factor of the untruncated filters is this far below 1; truncation uses up part
+#: of it, so it is larger than MARGIN.
 DIP = 0.15
 #: Number of iterations of Lawson's algorithm.
 ITERATIONS = 60
@@ -66,16 +66,16 @@ COARSE = 400
 
 
 class Response(NamedTuple):
-    """Closed loop at equidistant angles 0 … π."""
+    """Closed loop at equidistant angles from 0 to π."""
 
     model: np.ndarray  #: shape (m,); T on the model.
     possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
     #: shape (m,); T on the identified model. It differs from ``model`` if ``model`` comes from a measured response,
     #: because the noise of such a response does not decay in time.
     identified: np.ndarray | None = None
-    #: shape (m,); Response from the input of the plant to the displacement, in closed loop, on the identified model.
+    #: shape (m,); Closed-loop response from the plant's input to the displacement, on the identified model.
     pushed: np.ndarray | None = None
-    #: shape (m,); Response from the sensor's noise to the measured displacement, in closed loop, for the model.
+    #: shape (m,); Closed-loop response from the sensor's noise to the measured displacement, on the identified model.
     noise: np.ndarray | None = None
 
 
@@ -84,15 +84,15 @@ class Filters:
     """Filters and their contraction."""
 
     kind: str  #: Name of the design.
-    error: np.ndarray  #: Taps of G, from the largest lead on.
+    error: np.ndarray  #: Taps of G, the largest lead first.
     lead: int  #: Lead of the first tap [samples].
     robustness: np.ndarray  #: Taps of Q: the middle tap, then the taps on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
     contraction: float  #: Largest |Q − G T_p| + ε |G| over all frequencies and possible plants.
     nominal: float  #: The same quantity for the model alone.
-    worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
-    #: Highest contracting bandwidth, as a fraction of the sample rate, if ``bandwidth`` is lower because it leaves less
-    #: error; else 0.
+    worst: float  #: Frequency of the largest contraction factor, as a fraction of the sample rate.
+    #: Highest bandwidth with contraction, as a fraction of the sample rate, if ``bandwidth`` is lower because this
+    #: leaves less error; else 0.
     highest: float = 0.0
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +125,7 @@ def design_filters(
     sample_rate: float = 1.0,
     error: Callable[[Filters], float] | None = None,
 ) -> Filters:
-    """Return contracting filters with the requested bandwidth, with the highest bandwidth, or with the least ``error``.
+    """Return filters with contraction: for the requested bandwidth, the highest bandwidth, or the least ``error``.
 
     Units: ``period`` [samples], ``sample_rate`` [Hz].
     """
@@ -145,7 +145,7 @@ def design_filters(
 
 
 def _least(highest: Filters, design: Callable[[float], Filters], lower, error: Callable[[Filters], float]) -> Filters:
-    """Return the contracting filters of least error; search down from the highest bandwidth until the error doubles."""
+    """Return the filters with contraction and the least error; search downwards until the error has doubled."""
     best, least = highest, error(highest)
     for cutoff in lower:
         found = design(float(cutoff))
@@ -177,13 +177,13 @@ def low_pass(cutoff: float, points: int) -> np.ndarray:
 
 
 def symmetric_taps(response, half: int) -> np.ndarray:
-    """Return the taps of a real response, with a DC gain of 1: the middle tap, then the taps on either side."""
+    """Return the taps of a real response, scaled to a DC gain of 1: the middle tap, then those on either side."""
     taps = np.fft.irfft(response)[: half + 1]
     return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
 
 
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
-    """Return the 2 ``half`` + 1 taps that contain most of a complex response, and the lead of the first tap.
+    """Return the 2 ``half`` + 1 consecutive taps with most energy of a response, and the lead of the first one.
 
     Units: ``half`` [samples].
     """
@@ -202,7 +202,7 @@ def _inversion(response: Response, period: int):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
         largest = np.max(weights, axis=0)
-        # if the inverse is exact for all plants, the weights do not matter
+        # if the inverse is exact for all plants, all weights become 0; any weights are then correct
         weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
     # where the plants differ much, Q gets a notch that is just deep enough for contraction
@@ -236,7 +236,7 @@ def _norm_optimal(response: Response, period: int):
 
 
 def _repetitive(response: Response, period: int):
-    # phase lead and filter together look less than one period ahead
+    # phase lead and filter together must look less than one period ahead
     half = min(HALF, period // 2)
     leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
     thin = slice(None, None, max(len(response.model) // COARSE, 1))

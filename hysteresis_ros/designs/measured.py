@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Uses of a measured frequency response of an axis: in a design, and as dynamics of a parameter file."""
+"""Use of a measured frequency response of an axis in a design, and as the dynamics of a parameter file."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncer
 
 
 def measured_margins(axis: AxisParameters, parameters: ControllerParameters, found: Analysis) -> MeasuredLoop:
-    """Return the loop of a controller, with its damping, around the measured plant."""
+    """Return the loop of a controller, including damping, with the measured plant."""
     plant, _ = _beside(parameters.model.dynamics, axis, found)
     sample_time = found.response.sample_time
     controller, model = whole_loop(parameters, sample_time)
@@ -54,15 +54,15 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:
     """Return the printed margins of a design on the measured plant."""
     loop = measured_margins(axis, result.parameters, found)
-    # both loops are cut at the command, so that a damping is part of the controller
+    # both loops are cut at the command, so a damping is part of the controller
     model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
     rows = loop.rows(model)
     width = max(len(name) for name, _ in rows)
     lines = [f"measured {name:<{width}}  {text}" for name, text in rows]
     if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak or loop.delay_margin.high < REQUIRED.delay_margin:
         lines.append(
-            f"note: on the measured plant M_s ≤ {REQUIRED.sensitivity_peak:g} or a delay margin of "
-            f"{REQUIRED.delay_margin:g} sample is not met: the model differs from the plant; update its dynamics "
+            f"note: the measured plant does not meet M_s ≤ {REQUIRED.sensitivity_peak:g} or the delay margin of "
+            f"{REQUIRED.delay_margin:g} sample, because the model differs from the plant; update its dynamics "
             "(hysteresis identify RESPONSE --into CONFIG) and design again"
         )
     return lines
@@ -80,7 +80,7 @@ class MeasuredDynamics:
 def with_measured_dynamics(
     configuration: Configuration, namespace: str | None, found: Analysis, source: str, order: int | None = None
 ) -> MeasuredDynamics:
-    """Return the parameter file of an axis, with dynamics fitted to a response in its plant and controller model."""
+    """Return the parameter file of an axis; the dynamics of plant and controller model are fitted to a response."""
     axis = single_axis(configuration, namespace)
     dynamics, fit = dynamics_of(found, order)
     plant, model = _beside(dynamics, axis, found)
@@ -110,7 +110,7 @@ def with_measured_dynamics(
 
 
 def entries(found: ResponseUncertainty, axis: str = "") -> dict:
-    """Return an uncertainty as values of a parameter file, for a later design; a stage has values for each axis."""
+    """Return an uncertainty as entries of a parameter file, for a later design; a stage has entries for each axis."""
     start = f"{axis}.response." if axis else "response."
     known = {f"{start}known_to": found.known_to} if np.isfinite(found.known_to) else {}
     return {
@@ -126,7 +126,7 @@ def _plain(values: dict) -> dict:
 
 
 def _beside(dynamics: LinearParameters, axis: AxisParameters, found: Analysis) -> tuple[MeasuredPlant, np.ndarray]:
-    """Return the measured plant, and the response of the given dynamics at the measured lines."""
+    """Return the measured plant, and the response of ``dynamics`` at the measured lines."""
     sample_time, own = found.response.sample_time, 1.0 / axis.motion_controller.sample_rate
     if abs(sample_time / own - 1.0) > 1e-6:
         raise ConfigurationError(

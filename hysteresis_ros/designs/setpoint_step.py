@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Voltage during a step of an axis to its farthest setpoint, with the approach of the axis."""
+"""Voltage during a step of an axis to its farthest setpoint, through the approach of the axis."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Samples before the step and after the arrival of the reference, in addition to the preview.
+#: Samples before the step, and minimum number of samples after the arrival of the reference and the preview.
 BEFORE, AFTER = 20, 400
-#: Longest settling time after the arrival [s], and largest number of samples of the whole run.
+#: Simulated time after the arrival [s], if longer than AFTER; and maximum number of samples of the run.
 SETTLING, MOST = 0.2, 400_000
 
 
@@ -37,21 +37,21 @@ class SetpointStep:
     """A simulated step to the farthest setpoint."""
 
     size: float  #: [m]
-    #: Overshoot beyond the final displacement, as a fraction of the size.
+    #: Overshoot beyond the final displacement, as a fraction of the motion.
     overshoot: float
     largest: float  #: Largest change of the voltage in one sample [V].
-    asked: float  #: Largest change of the voltage in one sample without a slew rate [V].
+    asked: float  #: Largest change of the voltage in one sample if no slew rate applied [V].
     allowed: float  #: Largest change in one sample that the slew rate allows [V]; inf: the file has no slew rate.
-    feedforward: str  #: Type of the feedforward if it inverts the dynamics; else empty.
+    feedforward: str  #: Type of a feedforward that inverts the dynamics; otherwise empty.
 
     @property
     def share(self) -> float:
-        """Requested change divided by the allowed change; above 1 the slew rate limits the voltage."""
+        """Ratio of requested to allowed change; above 1 the slew rate limits the voltage."""
         return self.asked / self.allowed
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the printed rows."""
-        share = "the file states no slew rate" if math.isinf(self.allowed) else f"{100.0 * self.share:.3g} %"
+        share = "no slew rate in the file" if math.isinf(self.allowed) else f"{100.0 * self.share:.3g} %"
         return [
             ("setpoint step", f"{readable(self.size, 'm')} through the approach"),
             ("overshoot of the step", f"{100.0 * self.overshoot:.3g} %"),
@@ -61,7 +61,7 @@ class SetpointStep:
 
 
 def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
-    """Return the simulated step of an axis from its start to its farthest setpoint; None for an inchworm motor."""
+    """Simulate the step of an axis from its initial to its farthest setpoint; None for an inchworm motor."""
     if axis.reference_generator is None:
         return None
     axis = at_setpoint(axis)
@@ -91,7 +91,7 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
 
 
 def overshoot_of(displacement: np.ndarray, move: float) -> float:
-    """Return the overshoot of a step beyond its final displacement, as a fraction; ``move`` [m] gives its direction."""
+    """Return the overshoot of a step beyond the final displacement, as a fraction; ``move`` [m] gives the direction."""
     way = np.sign(move) * (displacement - displacement[0])
     goal = float(way[-1])
     return max(round(float(np.max(way)) / goal - 1.0, 9), 0.0) if goal > 0.0 else math.inf
@@ -110,7 +110,7 @@ def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
 
 
 def require_gentle(step: SetpointStep | None) -> None:
-    """Refuse a feedforward if, in a step to a setpoint, its voltage exceeds the slew limit."""
+    """Refuse a feedforward whose voltage exceeds the slew rate in a step to a setpoint."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
             f"feedforward {step.feedforward}: a setpoint {readable(step.size, 'm')} away needs a change "
@@ -125,7 +125,7 @@ def _largest(voltage: np.ndarray) -> float:
 
 
 def at_setpoint(axis: AxisParameters) -> AxisParameters:
-    """Return the axis with its reference beginning at the initial setpoint, even if ``approach.from_rest`` is set."""
+    """Return the axis with a reference that begins at the initial setpoint, even with ``approach.from_rest``."""
     own = axis.generator
     return replace(axis, reference_generator=replace(own, approach=replace(own.approach, from_rest=False)))
 
