@@ -10,9 +10,9 @@
 """Excitation of a stage: all axes together with orthogonal multisines, or one axis after the other, in one run.
 
 The stage runs in open loop, without inverses and without its decoupling, so that each axis drives its own actuator.
-Orthogonal multisines come in groups of as many realisations as there are axes; each realisation consists of settling
-periods and evaluated periods. Other recipes move one axis after the other, while the other axes stay at 0 V, or at the
-end of their range that is nearest to 0 V.
+Orthogonal multisines form groups of n realisations for n axes; each realisation has settling periods and evaluated
+periods. Other recipes move one axis after the other. Meanwhile the other axes stay at 0 V, or at the end of their range
+nearest to 0 V.
 """
 
 from __future__ import annotations
@@ -38,34 +38,32 @@ from hysteresis_ros.references.recipes import (
 )
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
-#: Default number of samples of a period of the multisine.
+#: Default period of the multisine [samples].
 PERIOD = 2000
 MULTISINE = "multisine"
-#: Default number of realisations for each axis. Hysteresis makes each realisation differ from the next one, and a
-#: design must assume the worst case of the remaining uncertainty. For plants 2 and 8 of ``bench_scan.py``, whose
-#: actuators are of other classes than the models, the loops had bandwidths of 0.05 … 24 Hz with three realisations, and
-#: of 350 … 660 Hz with six. With twelve, plant 8 gained another 1 %.
+#: Default number of realisations per axis. Because of hysteresis the realisations differ, and a design must assume the
+#: worst case of the remaining uncertainty. For plants 2 and 8 of ``bench_scan.py``, whose actuators are of other
+#: classes than the models, the loops had bandwidths of 0.05 … 24 Hz with three realisations, and of 350 … 660 Hz with
+#: six. With twelve, plant 8 gained another 1 %.
 REALISATIONS = 6
-#: If a slew rate reduces a multisine to less than this fraction of its amplitude, the multisine is too small for an
-#: identification.
+#: A multisine is too small for an identification if a slew rate reduces it to less than this fraction of its amplitude.
 WEAK = 0.1
 
 
 @dataclass(frozen=True)
 class StageExcitation:
-    """Settings of the excitation of a stage."""
+    """Settings of an excitation of a stage."""
 
     name: str = MULTISINE  #: Name of a recipe.
     amplitude: float = 1.0  #: Factor on the amplitude of the recipe.
-    frequency: float | None = None  #: Line spacing of the multisine, or frequency of the cycles of another recipe [Hz].
-    realisations: int | None = None  #: Realisations of the multisine; by default :data:`REALISATIONS` for each axis.
+    frequency: float | None = None  #: Line spacing of the multisine, or cycle frequency of another recipe [Hz].
+    realisations: int | None = None  #: Number of realisations; by default :data:`REALISATIONS` for each axis.
     periods: int = 2  #: Number of evaluated periods of each realisation.
     settle: int = 1  #: Number of settling periods before the evaluated periods.
     one_by_one: bool = False  #: Whether the multisines excite one axis after the other.
     duration: float | None = None  #: Duration of the recipe of each axis [s].
     seed: int = 1
-    #: Voltages of the axes before and after the excitation [V]; by default 0 V, or the end of the range that is nearest
-    #: to 0 V.
+    #: Voltages of the axes before and after the excitation [V]; by default 0 V, or the end of the range nearest to 0 V.
     rests: tuple[float, ...] | None = None
 
     def rest(self, place: int, limits: LimitsParameters) -> float:
@@ -88,11 +86,11 @@ class ExcitedStage:
 
 
 def excited_stage(configuration: Configuration, asked: StageExcitation, path) -> ExcitedStage:
-    """Return the stage that outputs an excitation; its samples are written to a file next to ``path``."""
+    """Return the stage that outputs an excitation; the samples are written to files next to ``path``."""
     parameters = StageParameters.from_configuration(configuration)
     rate = parameters.sample_rate
     if asked.name != MULTISINE and (asked.one_by_one or asked.realisations is not None):
-        raise ConfigurationError(f"--realisations and --one-by-one belong to the recipe {MULTISINE}: leave them out")
+        raise ConfigurationError(f"--realisations and --one-by-one belong to the recipe {MULTISINE}; omit them")
     voltages, words = multisines(parameters, asked) if asked.name == MULTISINE else _in_turn(parameters, asked)
     return ExcitedStage(played_stage(configuration, voltages, path), len(voltages) / rate, voltages, words)
 
@@ -100,7 +98,7 @@ def excited_stage(configuration: Configuration, asked: StageExcitation, path) ->
 def played_stage(
     configuration: Configuration, voltages: np.ndarray, path, ranges: Sequence[tuple[float, float]] | None = None
 ) -> StageParameters:
-    """Return the stage that outputs ``voltages`` [V], shape (N, n), from a file that is written next to ``path``.
+    """Return the stage that outputs ``voltages`` [V], shape (N, n), from files that are written next to ``path``.
 
     Plants and compensators are limited to ``ranges`` [V], by default the ranges of the configuration.
     """
@@ -125,7 +123,7 @@ def played_stage(
 
 
 def scoped(configuration: Configuration, changed: Configuration, namespace: str) -> list[tuple[str, dict]]:
-    """Return the parameters added by a changed configuration, for the nodes of one axis or of all axes."""
+    """Return the parameters that a changed configuration adds, with the namespace of an axis."""
     added = changed.entries[len(configuration.entries) :]
     return [(namespace + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in added]
 
@@ -149,12 +147,12 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
         )
     spacing = asked.frequency or rate / PERIOD
     N = round(rate / spacing)
-    # all lines are excited: where the response is unknown, a design has to assume a resonance
+    # all lines are excited, because a design must assume a resonance where the response is unknown
     lines = np.arange(1, (N + 1) // 2)
     if N < 32:
-        raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples a period")
+        raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples per period")
     if asked.one_by_one:
-        # the axes take turns: each realisation excites one axis
+        # each realisation excites one axis, in turn
         single = orthogonal_multisines(1, N, lines, realisations, asked.seed)[:, :, 0]
         table = np.zeros((realisations, N, count))
         turn = np.arange(realisations) % count

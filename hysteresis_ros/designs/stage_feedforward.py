@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Dynamic decoupling: the feedforward of a stage, by stable inversion of the model of all axes with preview.
+"""Dynamic decoupling: feedforward of a stage by stable inversion, with preview, of the model of all axes.
 
 G is the response from the outputs of the control laws to the displacements of all axes; it includes actuators, dampings
-and decoupling. F contains the inverses of the models of the single axes. The feedforward that the stage needs in
-addition to F is
+and decoupling. F contains the inverses of the models of the single axes. In addition to F, the stage needs the
+feedforward
 
     X = G⁻¹ - F.
 
-On the unit circle, G⁻¹ is bounded even if G has zeros outside the unit circle: the impulse response of G⁻¹ then extends
-into the future, and preview makes this non-causal inverse possible. Weighted least squares approximate X by an impulse
-response of N samples in both directions. Up to the band the weight is (band / f)², because references have smaller
-amplitudes at high frequencies; beyond the band X is kept small, because the model is not known there. The weights add
-up to 0 exactly: at rest, the matrix ``decoupling`` alone decouples the axes.
+On the unit circle, G⁻¹ is bounded even if G has zeros outside the unit circle. The impulse response of G⁻¹ then extends
+into the future; preview makes this non-causal inverse possible. Weighted least squares approximate X by an impulse
+response of N samples in both directions. Up to the band the error is weighted by (band / f)², because references have
+smaller amplitudes at high frequencies. Beyond the band X is kept small, because the model is not known there. The
+samples of the impulse response add up to 0 exactly, because at rest the matrix ``decoupling`` alone decouples the axes.
 """
 
 from __future__ import annotations
@@ -50,19 +50,18 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate. If no
-#: preview is long enough for the band, the band is reduced by the factor NARROWER, at most STEPS times.
+#: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate. While
+#: no preview is long enough for the band, the band is multiplied by NARROWER; at most STEPS bands are tried.
 BAND, NARROWER, STEPS = 0.1, 0.8, 10
-#: Largest coupling that may remain up to the band, and step [samples] by which a design increases the preview until the
-#: coupling is small enough.
+#: Largest allowed coupling up to the band, and step by which a design increases the preview [samples].
 REMAINING, STEP = 1e-3, 2
-#: Static coupling that may be left to the feedback.
+#: Largest static coupling that is left to the feedback.
 AT_REST = 0.01
-#: Frequencies of the design, as fractions of the sample rate; the weight is constant below the second number.
+#: Frequencies of the design, and frequency below which the weight is constant, as fractions of the sample rate.
 GRID, FLAT = np.linspace(0.0005, 0.5, 1000), 0.002
-#: Weights, relative to the weight at the band: beyond twice the band, and between the band and twice the band.
+#: Weights of X, relative to the weight at the band: beyond twice the band, and between the band and twice the band.
 BEYOND, BETWEEN = 0.01, 1e-3
-#: Control laws whose loop aims at the references of all axes; with other laws, each axis follows its own model.
+#: Control laws with which the axes follow their references; with other laws, each axis follows its own model.
 LAWS = ("pid", "open_loop")
 
 
@@ -72,9 +71,9 @@ class StageFeedforward:
 
     parameters: StageParameters  #: The stage with this feedforward.
     band: float  #: Frequency up to which this feedforward decouples [Hz].
-    before: float  #: Largest coupling up to the band with only the inverse of each axis, as a fraction.
+    before: float  #: Largest coupling up to the band with the inverses of the single axes only, as a fraction.
     after: float  #: The same coupling with the feedforward of the stage.
-    own: float  #: Largest error of an axis up to the band in following its own reference, as a fraction.
+    own: float  #: Largest error up to the band with which an axis follows its own reference, as a fraction.
 
     @property
     def preview(self) -> int:
@@ -87,9 +86,9 @@ def design_stage_feedforward(
 ) -> StageFeedforward:
     """Design the feedforward of a stage up to a band [Hz]; the controllers of the stage do not change.
 
-    The preview is the shortest preview with which the coupling of the model is at most 0.1 % up to the band. By default
-    the band is a tenth of the sample rate, or less if no preview is long enough. If no feedforward can be designed, a
-    ConfigurationError states the reason.
+    By default the preview is the shortest one with which the coupling of the model is at most 0.1 % up to the band,
+    found in steps of 2 samples; the band is a tenth of the sample rate, or less if no preview is long enough. Without
+    success, a ConfigurationError states the reason.
     """
     rate = parameters.sample_rate
     limits = [BAND * rate * NARROWER**step for step in range(STEPS)] if band is None else [band]
@@ -109,13 +108,13 @@ def design_stage_feedforward(
     if preview is None or band is None:
         raise ConfigurationError(
             f"--feedforward: with {length} samples of preview {100.0 * found.after:.3g} % of coupling remain up to "
-            f"{limit:g} Hz, at most {100.0 * REMAINING:g} % is allowed: give a lower --bandwidth, or also --preview"
+            f"{limit:g} Hz, at most {100.0 * REMAINING:g} % is allowed: lower --bandwidth, or give it with --preview"
         )
     return found
 
 
 def _model(axis, rate: float):
-    """Return the model of an axis with its damping."""
+    """Return the model of an axis, including damping."""
     return part(axis.motion_controller, ControllerParameters).before_damping(1.0 / rate).model.dynamics
 
 
@@ -146,7 +145,7 @@ def _require_decoupled(parameters: StageParameters) -> None:
 
 
 def _designed(parameters: StageParameters, models, plant: np.ndarray, preview: int, band: float) -> StageFeedforward:
-    """Return the feedforward with this preview; ``plant`` is the response of the plant on the grid."""
+    """Return the feedforward with this preview; ``plant`` is the plant's response at the frequencies :data:`GRID`."""
     count, z = len(parameters.names), np.exp(2j * np.pi * GRID)
     alone = np.zeros((len(z), count, count), dtype=complex)
     for i, model in enumerate(models):
@@ -185,13 +184,13 @@ def _designed(parameters: StageParameters, models, plant: np.ndarray, preview: i
 
 
 def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray:
-    """Return an FIR filter of r(k-N) … r(k+N-1) that approximates ``wanted``: weights with sum 0, shape (n, n, 2 N).
+    """Return weights of r(k-N) … r(k+N-1), with sum 0, that approximate the response ``wanted``, shape (n, n, 2 N).
 
-    ``wanted``, shape (F, n, n), is the response at the frequencies :data:`GRID`; N is ``preview``, and ``band`` is a
-    fraction of the sample rate.
+    ``wanted``, shape (F, n, n), is given at the frequencies :data:`GRID`; N is ``preview``; ``band`` is a fraction of
+    the sample rate.
     """
     shifts = np.arange(-preview, preview)
-    # weights that are differences of neighbours have the sum 0
+    # combinations of such differences have the sum 0
     differences = np.eye(len(shifts))[:, 1:] - np.eye(len(shifts))[:, :-1]
     basis = np.exp(2j * np.pi * np.outer(GRID, shifts)) @ differences
     within = band >= GRID
@@ -203,25 +202,25 @@ def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray
     return np.ascontiguousarray(found.T.reshape(*wanted.shape[1:], len(shifts)))
 
 
-#: A setpoint counts as reached when the axis has covered this fraction of the move.
+#: A setpoint is reached when the axis has covered this fraction of the move.
 REACHED = 0.98
 
 
 @dataclass(frozen=True)
 class VoltageSteps:
-    """Largest change of a voltage in one sample, over all actuators of a stage, without slew rates."""
+    """Largest change of any voltage of a stage in one sample, without slew rates."""
 
-    what: str  #: What the axis does.
+    what: str  #: Motion that needs this change.
     asked: float  #: Largest change in one sample [V].
-    allowed: float  #: Largest change in one sample that the slew rate allows [V]; inf without a slew rate.
+    allowed: float  #: Change in one sample that the slew rate allows [V]; inf without a slew rate.
     span: float  #: Range of the voltage [V].
-    overshoot: float | None = None  #: Overshoot of a setpoint, as a fraction; None: no setpoint, or it is not reached.
+    overshoot: float | None = None  #: Overshoot of a setpoint, as a fraction; None: no setpoint, or not reached.
 
 
 def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
-    """Return the largest voltage changes in a step of each axis to its farthest setpoint, and in the waveforms."""
+    """Return the largest voltage changes, for a step of each axis to its farthest setpoint and for the waveforms."""
     rate, found = parameters.sample_rate, []
-    settled = round(SETTLING * rate)  # the first motion is from 0 V to the initial setpoint
+    settled = round(SETTLING * rate)  # samples of the first motion, from 0 V to the initial setpoint
     free = replace(parameters, axes=tuple(at_setpoint(unlimited(axis)) for axis in parameters.axes))
     still = free.scanning([])
     for name, axis in zip(parameters.names, still.axes, strict=True):
@@ -236,8 +235,8 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
             way = f"a setpoint {readable(abs(target - start), 'm')} away in {name}"
             rows.append(_largest(parameters, run, settled, way))
             displacement = run[f"{name}/displacement"][settled - 1 :]
-            # hysteresis may keep the voltage at its limit before the axis reaches an end of its range; then the other
-            # end is tried
+            # because of hysteresis the voltage may reach its limit before the axis reaches the end of its range; then
+            # the other end is tried
             if abs(displacement[-1] - displacement[0]) > REACHED * abs(target - start):
                 over = overshoot_of(displacement, target - start)
                 break
@@ -250,7 +249,7 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
 
 
 def _largest(parameters: StageParameters, run, first: int, what: str) -> VoltageSteps:
-    """Return the largest change of a voltage from sample ``first`` on, relative to its range, over all axes."""
+    """Return the voltage change, from sample ``first`` on, that is the largest part of its range, over all axes."""
     rows = []
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         limits = axis.hysteresis_compensator.limits
@@ -262,7 +261,7 @@ def _largest(parameters: StageParameters, run, first: int, what: str) -> Voltage
 
 
 def require_gentle_steps(steps: list[VoltageSteps]) -> None:
-    """Refuse a feedforward that needs the whole range in one sample, or exceeds the slew rate for a setpoint."""
+    """Refuse a feedforward that needs the whole range in one sample, or for a setpoint more than the slew rate."""
     for step in steps:
         if step.asked >= step.span or (step.asked > step.allowed and step.what.startswith("a setpoint")):
             allowed = f"{step.allowed:.3g} V" if step.asked < step.span else f"less than the range of {step.span:.3g} V"
@@ -301,7 +300,7 @@ def voltage_step_rows(steps: list[VoltageSteps]) -> list[tuple[str, str]]:
 
 
 def without_stage_feedforward(configuration: Configuration) -> Configuration:
-    """Return the configuration of a stage without the cross-axis part of the feedforward."""
+    """Return the configuration of a stage without the feedforward between axes."""
     if not StageParameters.from_configuration(configuration).stage.feedforward.weights:
         return configuration
     text = feedforward_text(configuration, {}, str(configuration.stage), STAGE, "")

@@ -9,8 +9,7 @@
 
 """Response matrix of a stage: the run that measures it, the matrix from a recording, its table and its files.
 
-Noise and distortion of an entry are the standard deviations that they cause in this entry, averaged over the
-realisations.
+Noise and distortion of an entry are standard deviations of the entry, after averaging over the realisations.
 """
 
 from __future__ import annotations
@@ -57,9 +56,9 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.references.recipes import REST, SMALL, WAY
 from hysteresis_ros.units import readable
 
-#: Approximate number of lines that are kept if the inputs do not repeat.
+#: Approximate number of lines that are kept if the inputs are not periodic.
 MOST_LINES = 500
-#: A recording is divided into this number of parts, to distinguish its usual motion from single large movements.
+#: Number of parts of a recording, to distinguish the usual motion from single large movements.
 WINDOWS = 32
 
 
@@ -73,13 +72,13 @@ class StageResponse:
 
     @property
     def noise(self) -> np.ndarray | None:
-        """Standard deviation of the entries by noise, shape (F, n, n) [m/V]; None if it is not known."""
+        """Standard deviation of the entries due to noise, shape (F, n, n) [m/V]; None: unknown."""
         variance = self.matrix.response.noise_variance
         return None if variance is None else np.sqrt(variance)
 
     @property
     def distortion(self) -> np.ndarray | None:
-        """Standard deviation of the entries by nonlinear distortion, shape (F, n, n) [m/V]; None if it is not known."""
+        """Standard deviation of the entries due to nonlinear distortion, shape (F, n, n) [m/V]; None: unknown."""
         response = self.matrix.response
         if response.total_variance is None or response.noise_variance is None:
             return None
@@ -90,7 +89,7 @@ class StageResponse:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Ratio of the entries to the standard deviation of their noise [dB], medians over the lines, shape (n, n)."""
+        """Signal-to-noise ratio of the entries [dB], median over the lines, shape (n, n)."""
         response = self.matrix.response
         variance = response.total_variance if response.noise_variance is None else response.noise_variance
         if variance is None:
@@ -99,7 +98,7 @@ class StageResponse:
         return np.median(10.0 * np.log10(np.maximum(power, 1e-300)), axis=0)
 
     def require_excited(self) -> None:
-        """Refuse a response in which an actuator causes less motion than the noise of every sensor."""
+        """Refuse a response in which the motion by an actuator is too small for the noise of every sensor."""
         for name, best in zip(self.names, self.ratio.max(axis=0), strict=True):
             if best < LEAST_RATIO:
                 raise IdentificationError(
@@ -109,14 +108,14 @@ class StageResponse:
                 )
 
     def _pairs(self) -> Iterator[tuple[str, int, int]]:
-        """Yield each pair of input and output: name of the pair, index of the output, index of the input."""
+        """Yield for each pair of input and output: its name, index of the output, index of the input."""
         for j, source in enumerate(self.names):
             for i, target in enumerate(self.names):
                 yield f"{target}_from_{source}", i, j
 
     @property
     def figures(self) -> dict:
-        """The figures, by names that contain their units."""
+        """The figures; their names contain the units."""
         response, condition = self.matrix.response, self.matrix.condition
         size, ratio = np.abs(response.response), self.ratio
         found: dict[str, Any] = {
@@ -143,7 +142,7 @@ class StageResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Columns of a table of the response, by names that contain their units."""
+        """Columns of a table of the response; their names contain the units."""
         response = self.matrix.response
         unit = f"{response.output_unit}/{response.input_unit}"
         found = {"frequency [Hz]": response.frequency}
@@ -198,8 +197,8 @@ def stage_response_run(
 ) -> tuple[ExcitedStage, Plan]:
     """Return the stage that outputs orthogonal multisines, and the plan that describes them in a recording.
 
-    ``amplitude`` is the peak of the multisines as a fraction of each range, and ``period`` [s] is their period;
-    ``more`` contains further settings of the excitation.
+    ``amplitude`` is the peak amplitude of the multisines, as a fraction of the range of each axis, ``period`` [s] their
+    period; ``more`` contains further settings of the excitation.
     """
     asked = StageExcitation(frequency=None if period is None else 1.0 / period, **more)
     if amplitude is not None:
@@ -207,7 +206,7 @@ def stage_response_run(
             asked = StageExcitation(**vars(asked) | {"amplitude": float(amplitude) / SMALL})
         except ValueError:
             raise ConfigurationError(
-                f"--amplitude {amplitude!r}: the axes of a stage have ranges of their own: give a fraction of them, "
+                f"--amplitude {amplitude!r}: each axis has its own range: give a fraction of the range, "
                 f"without a unit, such as {SMALL:g}"
             ) from None
     found = excited_stage(configuration, asked, path)
@@ -220,7 +219,7 @@ def stage_response_run(
 def recorded_stage_response(
     reading: StageReading, plan: Plan | None = None, period: float | None = None, settle: int | None = None
 ) -> StageResponse:
-    """Return the response matrix from the recording of a stage; without a plan, the excitation is detected.
+    """Return the response matrix in a recording of a stage; without a plan, the excitation is detected.
 
     Units: ``period`` [s]. Correlated excitations and actuators that do not move are refused.
     """
@@ -243,14 +242,14 @@ def recorded_stage_response(
 
 
 def _of_one_level(data: StructureData, source: str) -> ResponseMatrix:
-    """Return the response matrix of all realisations, which must be of the same level."""
+    """Return the response matrix of all realisations; their level must be the same."""
     levels, m = data.levels, data.u.shape[2]
     if len(levels) > 1 and min(len(level) for level in levels) >= m:
         sizes = ", ".join(f"{float(np.std(data.u[level])):.3g} V" for level in levels)
         raise DataError(
             "shape",
-            f"{source}: has realisations of several levels ({sizes} RMS), and a response belongs to one level: record "
-            "each level in a file of its own, or give the file to hysteresis identify, which takes them all",
+            f"{source}: has realisations of several levels ({sizes} RMS), but a response has one level: record "
+            "each level in a file of its own, or give the file to hysteresis identify, which uses them all",
         )
     found = response_matrix(data.u, data.y, data.sample_time, data.period)
     return found.at(excited_lines(data.u, found, data))
@@ -258,7 +257,7 @@ def _of_one_level(data: StructureData, source: str) -> ResponseMatrix:
 
 @contextlib.contextmanager
 def correlated_by_name(reading: StageReading) -> Iterator[None]:
-    """Name the axes in an error about inputs that are correlated or do not move."""
+    """Name the axes in an error about inputs that are correlated or constant."""
     try:
         yield
     except IdentificationError as error:
@@ -270,8 +269,8 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
             raise DataError(
                 "constant",
                 f"{reading.source}: {', '.join(still)} does not move: a response matrix needs an excitation of all "
-                "axes (hysteresis excite STAGE --recipe multisine); hysteresis frf --namespace AXIS takes a recording "
-                "in which a single axis moves",
+                "axes (hysteresis excite STAGE --recipe multisine); use hysteresis frf --namespace AXIS for a "
+                "recording in which a single axis moves",
             ) from None
         if isinstance(error, DataError):
             raise
@@ -290,7 +289,7 @@ def correlated_by_name(reading: StageReading) -> Iterator[None]:
 
 
 def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
-    """Return the response of each level without its held-out realisations, and the held-out realisations."""
+    """Return the response of each level, from the realisations that are not held out, and the held-out realisations."""
     m, found, judged = data.u.shape[2], [], []
     for chosen in data.levels:
         if len(chosen) < m + held_out:
@@ -308,7 +307,7 @@ def level_responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseM
 
 
 def excited_lines(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> np.ndarray:
-    """Return which lines are excited; other lines contain only the effects of converters and of late samples."""
+    """Return which lines are excited; the others contain only the effects of converters and late samples."""
     places = np.rint(found.response.frequency * data.period * data.sample_time).astype(int)
     mean = u.reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
     strength = np.abs(np.fft.rfft(mean, axis=1)).max(axis=(0, 2))[places]
@@ -316,21 +315,21 @@ def excited_lines(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> 
 
 
 def response_without_periods(reading: StageReading) -> ResponseMatrix:
-    """Return the response matrix from inputs that do not repeat."""
+    """Return the response matrix for inputs that are not periodic."""
     shortest = min(len(u) for u, _ in reading.runs)
     u, y = (np.array([run[place][:shortest] for run in reading.runs]) for place in (0, 1))
     found = local_polynomial_response(u, y, reading.sample_time)
-    # the windows of neighbouring lines overlap, so only some of them are kept
+    # the windows of neighbouring lines overlap, so only some lines are kept
     return found.at(np.arange(len(found.condition)) % max(len(found.condition) // MOST_LINES, 1) == 0)
 
 
 def decoupled_responses(found: ResponseMatrix, gain: np.ndarray) -> tuple[Analysis, ...]:
-    """Return the response of each axis from its command, which the static gain [m/V] decouples."""
+    """Return the response of each axis to its command; the inverse of the static gain [m/V] decouples the commands."""
     return tuple(_decoupled(found, gain, i) for i in range(len(gain)))
 
 
 def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
-    """Return the response of an axis from its decoupled command, with its variances."""
+    """Return the response of axis ``i`` to its decoupled command, with its variances."""
     into = np.linalg.inv(gain)[:, i]
     response = found.response
 
@@ -352,9 +351,9 @@ def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
 def command_responses(
     parameters: StageParameters, names: tuple[str, ...], found: ResponseMatrix
 ) -> dict[str, Analysis]:
-    """Return the response of each axis of a stage from its decoupled command, by the names of the axes.
+    """Return the response of each axis of a stage to its decoupled command, by the names of the axes.
 
-    Each response is marked as a response from a voltage, so that it is scaled to the gain of the model, because small
+    Each response is marked as a response to a voltage; so it is scaled to the gain of the model, because small
     movements have a different gain.
     """
     if names != parameters.names:

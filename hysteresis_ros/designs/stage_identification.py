@@ -9,15 +9,15 @@
 
 """From recordings of a stage to its parameter file: structure, hysteresis, decoupling, controllers.
 
-1. Response matrix G [m/V] from the realisations that are not held out; by the local polynomial method if the inputs do
-   not repeat. A separately measured response matrix, if given, replaces G in the following steps.
+1. Response matrix G [m/V] of the realisations that are not held out; by the local polynomial method if the inputs do
+   not repeat. A response matrix that was measured separately, if given, replaces G in the following steps.
 2. ``hammerstein``: a stable state space of G without feedthrough, after a delay of whole samples. Order and delay are
-   chosen by the error on the held-out realisations. The columns of its input matrix are divided by the static gains
-   from each actuator to its own sensor, which makes the inputs of the structure displacements [m]. The hysteresis of
-   each actuator is identified from loops in which it moves alone. ``internal``: one structure that contains the
+   chosen by the error on the held-out realisations. Each column of its input matrix is divided by the static gain from
+   the actuator to its own sensor, so that the inputs of the structure are displacements [m]. The hysteresis of each
+   actuator is identified from loops in which this actuator moves alone. ``internal``: one structure that contains the
    hysteresis, fitted to all levels.
-3. Decoupling: the inverse of the static gain. The model of each axis is fitted to the entry of this axis in the
-decoupled response; it is linear and has the measured uncertainty.
+3. Decoupling: the inverse of the static gain. The linear model of each axis is fitted to the decoupled response of the
+   axis and gets the measured uncertainty.
 4. Controllers: designed for these models and the measured noise.
 """
 
@@ -83,25 +83,25 @@ from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
 from hysteresis_ros.units import readable
 
-#: Orders that are tried for a structure, and largest delay before the structure [samples].
+#: Tried orders of a structure, and largest tried delay before it [samples].
 ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
-#: Orders that are tried for the model of an axis. A lower order suffices if its error is at most AXIS_ENOUGH times the
-#: smallest error.
+#: Tried orders of the model of an axis. A lower order suffices if its error is at most AXIS_ENOUGH times the smallest
+#: error.
 AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
-#: Below this RMS error of the fit, as a fraction of the gain, an axis is modelled as a delay without dynamics.
+#: An axis is modelled as a pure delay if the RMS error of this fit, as a fraction of the gain, is at most this.
 PURE_DELAY = 1e-3
 #: A structure is refined only if its error before the refinement is at most this factor times the smallest error.
 WORTH = 10.0
-#: A lower order of the structure suffices if its error is at most this factor times the smallest error: further states
-#: only describe the creep and the hysteresis of the actuators.
+#: A lower order of the structure suffices if its error is at most this factor times the smallest error, because further
+#: states would only describe creep and hysteresis of the actuators.
 STRUCTURE_ENOUGH = 1.1
-#: Number of steps of the refinement on the response: for each tried order, and for the chosen order.
+#: Number of refinement steps on the response, for each tried order and for the chosen order.
 STEPS, LAST_STEPS = 15, 100
 #: Largest modulus of a pole of a structure.
 RADIUS = 1.0 - 1e-5
 #: Real poles slower than this multiple of the lowest line count as creep and are not part of the structure.
 CREEPING = 10.0
-#: The measured response is the reason for a slow loop if its relative uncertainty exceeds UNSURE at a frequency up to
+#: A slow loop is attributed to the measured response if its relative uncertainty exceeds UNSURE at a frequency up to
 #: NEAR times the bandwidth.
 UNSURE, NEAR = 0.5, 2.0
 _HEADER = """\
@@ -121,13 +121,13 @@ class StageRequest:
     axes : tuple of str
         Names of the axes; by default the names in ``into`` or in the recording, or else x, y, z.
     order : int, optional
-        Even order of the structure; by default the lowest order whose prediction is almost as good as the best.
+        Even order of the structure; by default the lowest order whose prediction error is close to the smallest one.
     held_out : int
-        Number of realisations of each level that are held out to judge the models.
+        Number of realisations of each level that are held out to validate the models.
     model : str
-        Model of the hysteresis of the loops.
+        Hysteresis model for the loops.
     plays, hystereses : int
-        For type ``internal``: number of plays of each hysteresis, and of hystereses of each actuator.
+        For type ``internal``: number of plays of each hysteresis, and number of hystereses of each actuator.
     steps : int
         For type ``internal``: number of steps of the last search.
     controller : str
@@ -137,12 +137,12 @@ class StageRequest:
     noise : float, optional
         RMS noise of the sensors [m] for the design; by default the measured noise.
     resting_noise : tuple of float
-        RMS noise of each sensor [m], measured at rest. If empty, the noise is estimated from the recording, where every
-        irregularity of the excitation also counts as noise.
+        RMS noise of each sensor [m], measured at rest. If empty, the noise is estimated from the recording; the
+        estimate includes every irregularity of the excitation.
     response : path-like, optional
         For type ``hammerstein``: the response matrix that ``hysteresis frf`` wrote for the stage (NPZ). The structure
         and the models of the axes are fitted to this matrix, and the designs use its frequency bands. The recording
-        determines the ranges, the noise and, with its held-out realisations, the order.
+        still determines the ranges, the noise and, with its held-out realisations, the order.
     progress : callable, optional
         Called as ``progress(text)``.
     """
@@ -190,18 +190,18 @@ class _Plant:
     structure: StructureParameters
     delay: int  #: Delay of each actuator in whole samples.
     gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs for small motions [m/V].
-    hysteresis: tuple[workflow.Identified | None, ...]  #: For each actuator; None: the actuator is proportional.
+    hysteresis: tuple[workflow.Identified | None, ...]  #: For each actuator; None: no hysteresis here.
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
-#: If the gain of the held-out data exceeds the gain of the written file by more than this factor, a design considers
-#: the gain of the data. A gain that is smaller by the same factor is only reported.
+#: If the gain of the held-out data is more than this factor times the gain of the written file, a design considers both
+#: gains. A gain that is smaller by more than this factor is only reported.
 DEVIATING = 1.1
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A held-out realisation in steady state, without its mean."""
+    """A held-out realisation in steady state, minus its mean, and its prediction."""
 
     time: np.ndarray  #: shape (N,) [s]
     measured: np.ndarray  #: shape (N, q) [m]
@@ -219,7 +219,7 @@ class HeldOut:
 
     @property
     def gains(self) -> np.ndarray:
-        """Factor that brings the prediction of each output closest to the measurement; 1 without motion."""
+        """Factor on the prediction of each output that fits it best to the measurement; 1 without motion."""
         square = np.sum(self.predicted**2, axis=0)
         return np.where(
             square > 0.0, np.sum(self.predicted * self.measured, axis=0) / np.where(square, square, 1.0), 1.0
@@ -227,7 +227,7 @@ class HeldOut:
 
     @property
     def shapes(self) -> np.ndarray:
-        """RMS error of each output [m] after its prediction is multiplied by the factor in ``gains``."""
+        """RMS error of each output [m] after multiplication of the prediction by ``gains``."""
         return np.sqrt(np.mean((self.gains * self.predicted - self.measured) ** 2, axis=0))
 
 
@@ -243,19 +243,19 @@ class IdentifiedStage:  # numpydoc ignore=PR02
         Parameters in the text. With ``into``, the parameters of the identified stage, because the text keeps the plant
         of ``into``.
     responses : tuple of ResponseMatrix
-        Response matrix [m/V] of each level, with noise and distortion separated, the lowest level first.
+        Response matrix [m/V] of each level, the lowest level first, with separate noise and distortion.
     axes : tuple of Analysis
-        Response of each axis from its decoupled command to its measurement.
+        Response of each axis to its decoupled command.
     structure : ndarray, shape (F, n, n)
         Response of the identified linear part at the lines of the lowest level [m/V].
     loops : tuple of Identified or None
         Hysteresis of each actuator; None without loops.
     held_out : HeldOut or None
-        Held-out data, and the prediction of the written file.
+        Held-out data, and their prediction by the written file.
     designs : dict
         Designed controllers by the names of the axes.
     figures : dict
-        Figures by names with units.
+        Figures; their names contain the units.
     warnings : tuple of str
         Sentences about uncertain results.
     """
@@ -340,7 +340,7 @@ def identify_stage(
             count = sum(len(u) for u, _ in one.runs)
             warnings.append(
                 f"{one.source}: this machine was too busy for {one.skipped} of {count} samples: the previous voltage "
-                "was held in them, which counts as noise or distortion"
+                "was held, which counts as noise or distortion"
             )
     if kind == INTERNAL and data is not None:
         ends = responses[-1].response.frequency[[0, -1]]
@@ -357,7 +357,7 @@ def identify_stage(
         held_out = _held_out(parameters, data, request.held_out)
         known, deviating = _with_gains(known, held_out, names)
     measured = 0.0 if noise is None else float(np.max(noise))
-    level = request.noise or measured or None  # a simulated plant has no noise
+    level = request.noise or measured or None  # a simulated plant may have no noise
     text, designs, why = design_identified(text, parameters, request, level, analyses, known)
     warnings += deviating + why
     designed = parse_configuration(text, "the identified stage")
@@ -385,7 +385,7 @@ def identify_stage(
 
 
 def _responses(reading: StageReading, data: StructureData | None, request: StageRequest, names):
-    """Return the levels' response matrices, the held-out realisations or None, and the sensors' noise [m] or None."""
+    """Return the response matrix of each level, the held-out realisations and the sensor noise [m]; None: unknown."""
     judged = None
     with correlated_by_name(reading):
         if data is None:
@@ -415,7 +415,7 @@ def _kind(data: StructureData | None, request: StageRequest, loops: StageReading
 
 
 def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> ResponseMatrix:
-    """Return the response matrix in a file; refuse a matrix of other axes or of another sample rate."""
+    """Return the response matrix in a file; refuse one with other axes or another sample rate."""
     axes, found = load_stage_response(path)
     if axes != names:
         raise IdentificationError(
@@ -432,7 +432,7 @@ def _measured_matrix(path, names: tuple[str, ...], reading: StageReading) -> Res
 
 
 def _require_regular(gain: np.ndarray, found: ResponseMatrix, names: tuple[str, ...]) -> None:
-    """Refuse a static gain [m/V] with a direction of voltages that causes no displacement."""
+    """Refuse a static gain [m/V] with a combination of voltages that causes no displacement."""
     lost = _lost(gain, found, names)
     if lost:
         raise ParameterError(
@@ -472,7 +472,7 @@ def _names(reading: StageReading, request: StageRequest, into: Configuration | N
     m, q = len(reading.inputs), len(reading.outputs)
     if m != q:
         raise IdentificationError(
-            f"{m} inputs and {q} outputs: a stage has a sensor for each actuator; name as many --output as --input"
+            f"{m} inputs and {q} outputs: a stage has one sensor for each actuator; give as many --output as --input"
         )
     if request.axes:
         names = request.axes
@@ -492,7 +492,7 @@ def _names(reading: StageReading, request: StageRequest, into: Configuration | N
 
 
 def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: StageRequest):
-    """Return the plant with hysteresis in front of the linear structure, and the held-out errors of its linear part."""
+    """Return the plant with the hysteresis before the linear structure, and the held-out errors of its linear part."""
     orders = ORDERS if request.order is None else (request.order,)
     model, delay = _linear(found.response, judged, orders, STRUCTURE_ENOUGH, request.progress)
     held = None if judged is None else _held_errors(model, delay, judged[0])
@@ -565,7 +565,7 @@ def _linear(
         tried.append((_judge(model, delay, response, judged), order, delay, model))
         if progress is not None:
             progress(f"order {order}, delay {delay}: error {tried[-1][0]:.4g}")
-    # a slow real pole would describe creep, which belongs to the actuators; it would also change the static gain
+    # a slow real pole would describe creep, which belongs to the actuators, and would change the static gain
     tried = [one for one in tried if not _slow(one[3], response)] or tried
     least = min(one[0] for one in tried)
     # the lowest order that is almost as good as the best, and the best delay for this order
@@ -577,7 +577,7 @@ def _linear(
 
 
 def _slow(model: LinearModel, response: FrequencyResponse) -> bool:
-    """Return whether a model has a real pole slower than :data:`CREEPING` times a response's lowest line."""
+    """Return whether a model has a real pole slower than :data:`CREEPING` times the lowest line of the response."""
     poles = model.poles
     slowest_allowed = np.exp(-2.0 * np.pi * CREEPING * response.frequency[0] * response.sample_time)
     return bool(np.any((np.abs(poles.imag) < 1e-9) & (poles.real > slowest_allowed)))
@@ -659,7 +659,7 @@ def _named(error: IdentificationError, where: str) -> tuple:
 
 
 def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | None:
-    """Return the RMS noise of each output [m], from the upper half of the lines; None if the noise is not known."""
+    """Return the RMS noise of each output [m], from the upper half of the lines; None: unknown."""
     if found.noise is None:
         return None
     upper = found.noise[len(found.noise) // 2 :]
@@ -669,7 +669,7 @@ def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | No
 
 
 def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, dict[str, float]]:
-    """Return the text of the stage in open loop, and the errors of its models against the measured responses."""
+    """Return the text of the stage in open loop, and the deviation of each axis model from its response [%]."""
     rate = rate_of(reading.sample_time)
     step = 1.0 / rate
     count = len(names)
@@ -729,12 +729,12 @@ def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, d
 
 
 def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
-    """Return the dynamics of an axis in its controller's model, and the error of their response [%]."""
+    """Return the dynamics of an axis for its controller's model, and the median error of their response [%]."""
     model, late = _linear(response, None, AXIS_ORDERS, AXIS_ENOUGH)
     dynamics = replace(model.linear_parameters(), delay=late * step)
     f = response.frequency
     fitted = (model.frequency_response(f)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * f * late * step)).ravel()
-    # a delay without further dynamics has order 0; with any higher order the model would have uncontrollable states
+    # a pure delay has order 0; a model of higher order would have uncontrollable states
     samples = np.arange(1, MOST_DELAY + 2)
     delays = np.exp(-2j * np.pi * np.outer(samples, f) * step)
     errors = np.sqrt(np.mean(np.abs(delays - response.single) ** 2, axis=1))
@@ -748,7 +748,7 @@ def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
 
 
 def _copied(nodes: dict) -> dict:
-    """Return the nodes with copied arrays, because YAML would write a second reference to an array as an alias."""
+    """Return the nodes with copied arrays, because YAML would write a repeated array as an alias."""
     return {
         node: {key: tuple(v) if isinstance(v, tuple) else v for key, v in values.items()}
         for node, values in nodes.items()
@@ -756,10 +756,10 @@ def _copied(nodes: dict) -> dict:
 
 
 def put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
-    """Return the text of a stage with the decoupling, compensators, controllers and references of another stage.
+    """Return the text of the stage ``into`` with decoupling, compensators, controllers and references of ``designed``.
 
-    A simulated stage keeps its plant. A stage of devices uses its plant only in simulations and designs, so its plant
-    is replaced by the identified plant.
+    A simulated stage keeps its plant. A stage of devices gets the identified plant, because only simulations and
+    designs use it.
     """
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
@@ -786,7 +786,7 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
             values = dict(designed.node(node, f"/{name}"))
             values = {key: value for key, value in values.items() if key not in ("joint", "sample_rate")}
             if node == "hysteresis_compensator":
-                # the stage keeps its own limits
+                # the stage keeps its voltage limits
                 own = axis.hysteresis_compensator.limits
                 values |= {"limits.minimum": own.minimum, "limits.maximum": own.maximum}
                 if own.slew_rate > 0.0:
@@ -801,14 +801,14 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
 
 
 def _modelled(plant: dict) -> dict:
-    """Return the model parameters of an identified plant, without its device; defaults replace missing values."""
+    """Return the model parameters of an identified plant without those of its device; missing ones get defaults."""
     lacking = {"creep.type": "none", "dynamics.delay": 0.0, "preload.A1": 0.0, "sensor.noise": 0.0}
     model = ("hysteresis.", "creep.", "dynamics.", "preload.", "sensor.")
     return lacking | {key: value for key, value in plant.items() if key.startswith(model)}
 
 
 def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:
-    """Return the parameters of the compensator of an axis, and the zero of the axis' sensor [m]."""
+    """Return the parameters of an axis' compensator, and the zero of its sensor [m]."""
     limits = {"limits.minimum": low, "limits.maximum": high}
     one = plant.hysteresis[i]
     if one is None:
@@ -827,14 +827,14 @@ def _means(reading: StageReading) -> tuple[list[float], list[float]]:
 
 
 def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float]:
-    """Return the zeros of the sensors [m] of a structure with hysteresis, from its steady state at the mean voltage."""
+    """Return the sensor zeros [m] of a structure with hysteresis: mean output minus steady state at mean voltage."""
     block = Structure(plant.structure, plant.structure.sample_time)
     block.settle(centre)
     return (np.array(_means(reading)[1]) - block.step(centre)).tolist()
 
 
 def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
-    """Return ranges of the degrees of freedom [m] that can be reached repeatedly, and in any combination."""
+    """Return ranges of the degrees of freedom [m] that are reached repeatedly and in any combination."""
     ends = np.array(
         [returned_commands(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators]
     )
@@ -859,10 +859,10 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
 
 
 def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncertainties, list[str]]:
-    """Return uncertainties with the held-out gains that exceed the gains of the file, and a warning for each one.
+    """Return uncertainties that include held-out gains above the gains of the file, and a warning for each such gain.
 
-    If the actuators have hysteresis of another class than the model, the model identified from slow loops has a wrong
-    gain for small, fast movements.
+    A hysteresis model that was identified from slow loops has a wrong gain for small, fast movements if the actuators
+    have hysteresis of another class.
     """
     found, said = dict(known), []
     for name, gain in zip(names, held_out.gains, strict=True):
@@ -879,7 +879,7 @@ def _with_gains(known: Uncertainties, held_out: HeldOut, names) -> tuple[Uncerta
 def design_identified(
     text: str, parameters: StageParameters, request: StageRequest, noise: float | None, analyses, known: Uncertainties
 ):
-    """Return the text with designed controllers, the designs, and warnings or the reason why there are no designs.
+    """Return the text with designed controllers, the designs, and warnings or the reason for missing designs.
 
     Units: ``noise`` [m], RMS.
     """
@@ -895,7 +895,7 @@ def design_identified(
             source = parse_configuration(text, "the identified stage")
             require_stable(with_designs(parameters, designs), source.source)
             warnings = _measured(designs, analyses) + _too_slow(designs, analyses, noise)
-            # each reason occurs once, because it is the same for all axes
+            # each reason is listed once, because it is the same for all axes
             reasons = dict.fromkeys(design.together for design in designs.values() if design.together)
             warnings += [f"all loops together: {reason}" for reason in reasons]
             return controllers_file(source, designs, words), designs, warnings
@@ -907,7 +907,7 @@ def design_identified(
 
 
 def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
-    """Return a warning for each loop whose sensitivity with the measured response exceeds the limit of a design."""
+    """Return a warning for each loop whose M_s on the measured response exceeds the limit of a design."""
     found = []
     for (name, design), analysis in zip(designs.items(), analyses, strict=True):
         response = analysis.response
@@ -918,14 +918,14 @@ def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
         loop = loop_of(controller, response.frequency, response.single, circle, response.sample_time, model)
         if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak:
             found.append(
-                f"axis {name}: on the measured response the sensitivity reaches {loop.sensitivity_peak.low:.3g}, but "
+                f"axis {name}: on the measured response M_s reaches {loop.sensitivity_peak.low:.3g}, but "
                 f"at most {REQUIRED.sensitivity_peak:g} is allowed: design again with a lower --bandwidth"
             )
     return found
 
 
 def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> list[str]:
-    """Return a warning for each loop slower than the recording, or slow because its response is not well known.
+    """Return a warning for each loop slower than the lowest measured line, or slow because of an uncertain response.
 
     Units: ``noise`` [m], RMS.
     """
@@ -951,7 +951,7 @@ def _too_slow(designs: dict[str, AxisDesign], analyses, noise: float | None) -> 
 
 
 def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
-    """Return the figures of an identification, by names that contain their units."""
+    """Return the figures of an identification; their names contain the units."""
     figures: dict = {
         "type": plant.type,
         "order": plant.structure.order,
@@ -984,21 +984,21 @@ def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
 
 
 def _held_out(parameters: StageParameters, data: StructureData, held_out: int) -> HeldOut:
-    """Return the held-out data of the highest level and the prediction of the identified stage, without the means."""
+    """Return the held-out data of the highest level and their prediction by the identified stage, without the means."""
     chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
     u, y = data.u[chosen[-1]], data.y[chosen[-1]]
-    # all repetitions except the last let the model settle
+    # the model settles in all repetitions but the last
     predicted = simulated(parameters, np.concatenate([u] * 4))[-len(u) :]
-    # the drift is removed as in the data, where creep moves the stage from period to period
+    # the drift is removed as in the data, in which creep moves the stage from period to period
     predicted = without_drift(predicted[np.newaxis], data.period)[0]
-    # subtract one common mean difference, because the zeros of the sensors are not part of the prediction
+    # subtract the mean difference of each output, because the zeros of the sensors are not part of the prediction
     shift = (predicted - y).mean(axis=0)
     mean = y.mean(axis=0)
     return HeldOut(np.arange(len(u)) * data.sample_time, y - mean, predicted - mean - shift)
 
 
 def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
-    """Return the noise-free sensor readings of a stage [m], shape (N, n), for voltages ``u`` [V] applied from rest."""
+    """Return the noise-free sensor readings of a stage [m], shape (N, n), for voltages ``u`` [V] that begin at rest."""
     stage = Stage(parameters)
     drives = np.empty_like(np.asarray(u, dtype=float))
     for i, plant in enumerate(stage.plants):

@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Check that the loops of a stage are stable and robust together; the message states a remedy if they are not.
+"""Check that the loops of a stage are stable and robust together; otherwise the message states a remedy.
 
 The design of an axis does not consider the other loops. Together, the loops must meet the requirements that each loop
 meets alone: M_s ≤ 2, and stability with one more sample of delay. M_s of all loops is the structured singular value of
-S = (I + L)⁻¹ for an independent factor in each loop, which is the inverse of the disk margin of skew 1. Without
-coupling, this M_s is the largest M_s of the single loops. If it is at most 2, all loops tolerate 6 dB more gain at the
-same time, in any combination.
+S = (I + L)⁻¹ for an independent factor in each loop; it is the inverse of the disk margin of skew 1. Without coupling,
+it equals the largest M_s of the single loops. If it is at most 2, all loops tolerate up to 6 dB more gain at the same
+time, in any combination.
 """
 
 from __future__ import annotations
@@ -35,13 +35,12 @@ from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.scan import rounded_down
 
-#: If the gain of the stage at rest differs from the gains of its axes' models by more than this fraction, a lower
-#: bandwidth is not the remedy.
+#: If the stage's gain at rest differs from the gains of the axis models by more than this fraction, the decoupling is
+#: the remedy, instead of a lower bandwidth.
 WRONG_GAIN = 0.5
-#: Factor between steps of the search for the largest stable gain, number of steps, and fraction of that gain that is
-#: used.
+#: Search for the largest stable gain: factor per step, number of steps, and fraction of the found gain that is used.
 STEP, STEPS, USED = 0.95, 150, 0.5
-#: The times of a structure can be changed if the condition number of its eigenvectors is at most this.
+#: Resonances of a structure are varied if the condition number of its eigenvectors is below this.
 DEFECTIVE = 1e8
 
 
@@ -51,19 +50,19 @@ def gain_at_rest(parameters: StageParameters) -> np.ndarray:
 
 
 def right_decoupling(parameters: StageParameters) -> str:
-    """Return the parameter file's entry for the decoupling with which no axis moves another axis at rest."""
+    """Return the parameter file entry of the decoupling with which no axis moves another axis at rest."""
     right = product(parameters.stage.matrix("decoupling"), static_decoupling(gain_at_rest(parameters)))
     return f"decoupling: [{', '.join(f'{value:.6g}' for value in right.ravel())}]"
 
 
 def require_stable(parameters: StageParameters, source: str) -> None:
-    """Refuse a stage whose loops are unstable together; the message states the remedy.
+    """Refuse a stage whose loops are unstable together; the message states a remedy.
 
     Raises
     ------
     ConfigurationError
-        The message gives the decoupling if the gain of the stage at rest differs from the gains of the models of its
-        axes. Otherwise it gives the bandwidth of controllers that tolerate 6 dB more gain.
+        The message gives the decoupling if the stage's gain at rest differs from the gains of the axis models.
+        Otherwise it gives the bandwidth of controllers that tolerate 6 dB more gain.
     """
     loop = stage_loop(parameters)
     if _stable(loop, 1.0):
@@ -73,15 +72,15 @@ def require_stable(parameters: StageParameters, source: str) -> None:
     models = [part(axis.motion_controller, ControllerParameters).model.dynamics for axis in parameters.axes]
     wanted = np.diag([np.ravel(plant_state_space(model).dc_gain)[0] for model in models])
     wrong = np.max(np.abs(gain_at_rest(parameters) - wanted)) > WRONG_GAIN * np.max(wanted)
-    # the plant is stable, so small gains give stable loops, except if a sign at rest is wrong
+    # the plant is stable, so small gains give stable loops unless a sign at rest is wrong
     factor = next((STEP**k for k in range(1, STEPS) if _stable(loop, STEP**k)), None)
     if wrong or factor is None:
         raise ConfigurationError(
-            f"{cause}, because its gain at rest differs from that of the models of its axes: give "
+            f"{cause}, because the gain at rest differs from the gains of the axis models: give "
             f"{right_decoupling(parameters)} in {parameters.namespace}/{STAGE}"
         )
     sizes = np.abs(np.diagonal(loop.response(np.exp(2j * np.pi * GRID)), axis1=1, axis2=2))
-    # the lowest crossover is meant: above it, modes may raise the gain above 1 again
+    # use the lowest crossover: above it, modes may raise the gain above 1 again
     crossing = [float(GRID[np.argmax(size < 1.0)]) for size in sizes.T if size[0] > 1.0 and np.any(size < 1.0)]
     band = rounded_down(USED * factor * min(crossing, default=GRID[-1]) * parameters.sample_rate, 2)
     raise ConfigurationError(
@@ -92,14 +91,14 @@ def require_stable(parameters: StageParameters, source: str) -> None:
 
 
 def _stable(loop, factor: float) -> bool:
-    """Return whether the closed loop is stable when the gain of all loops is multiplied by a factor."""
+    """Return whether the closed loop is stable with the gain of all loops multiplied by a factor."""
     opened = np.eye(loop.B.shape[1]) + factor * loop.D
     poles = np.linalg.eigvals(loop.A - factor * loop.B @ np.linalg.solve(opened, loop.C))
     return bool(np.max(np.abs(poles), initial=0.0) < 1.0 - BOUNDARY)
 
 
 def slower_structure(parameters: StageParameters, slowness: float) -> StageParameters:
-    """Return a stage with all times of its structure multiplied by a factor, and with the same gain at rest."""
+    """Return a stage with all times of its structure multiplied by a factor and the same gain at rest."""
     given = parameters.stage.structure
     n, m = given.order, given.inputs
     # the file may contain only the diagonal blocks of the state matrix
@@ -111,12 +110,12 @@ def slower_structure(parameters: StageParameters, slowness: float) -> StageParam
 
 
 def unmet_together(parameters: StageParameters, resonance: float = 0.0) -> str:
-    """Return the requirement that all loops together miss, or an empty text.
+    """Return the first requirement that all loops together do not meet; empty if they meet all.
 
-    If ``resonance`` is above 0, resonances that are lower and higher by this fraction are checked too.
+    If ``resonance`` is above 0, the loops are also checked with resonances that are lower and higher by this fraction.
     """
     stage, count = parameters.stage, len(parameters.names)
-    # if the structure contains the hysteresis, it has no separate resonances that could be changed
+    # a structure that contains the hysteresis has no separate resonances that could be varied
     varied = resonance > 0.0 and stage.type == HAMMERSTEIN and stage.structure.order > 0
     if varied:
         _, vectors = np.linalg.eig(stage.structure.state_matrix)
