@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Devices and sensors: drivers, their registry and the guard around an open device; cameras.
+"""Devices and sensors: drivers, the registry of drivers, the guard around an open device, and cameras.
 
 Start with ``driver`` (the contract) and one of ``drivers``. ``registry`` finds drivers, ``library`` loads drivers in C,
 and ``device`` guards an open device. ``tracker`` finds the displacement in images.

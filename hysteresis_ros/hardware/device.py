@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An open device and the guard around its driver; the rest of the package uses only this class."""
+"""An open device, guarded against errors of its driver; the rest of the package accesses devices only through it."""
 
 from __future__ import annotations
 
@@ -68,8 +68,7 @@ class Device:
         self._open = True
         self._written: float | None = None
         self._functions: _MethodFunctions | None = None
-        #: The lock is held while the device is made safe or closed; the event ends the background attempts to make the
-        #: device safe.
+        #: The lock protects the attempts to make the device safe; the event ends the attempts in the background.
         self._calling, self._over = threading.RLock(), threading.Event()
         self._over.set()
         try:
@@ -102,7 +101,8 @@ class Device:
         Raises
         ------
         DriverError
-            The device does not answer, or its answer has a wrong number of positions or forces or an infinite position.
+            The device does not answer, or the answer has a wrong number of positions or forces, or an infinite
+            position.
         """
         with self._named("cannot be read"):
             return self._checked_reading()
@@ -129,8 +129,8 @@ class Device:
         Raises
         ------
         DriverError
-            There are too many voltages, or one is not finite or out of the device's range (then no voltage is sent), or
-            the device refuses them.
+            There are too many voltages, or one is not finite or out of the device's range (no voltage is sent in these
+            cases), or the device refuses them.
         """
         with self._named("cannot be written"):
             self._write_checked(voltages)
@@ -147,7 +147,7 @@ class Device:
         self._driver.write(voltages)
 
     def output_clock(self, edges: Edge) -> None:
-        """Output the scan edges of this sample: the frames, lines and pixels that begin.
+        """Output the scan edges of this sample: the beginnings of frames, lines and pixels.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Device:
             self._driver.output_trigger(number, delay)
 
     def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
-        """Let the device compare positions.
+        """Let the device output triggers at these positions.
 
         Parameters
         ----------
@@ -218,8 +218,7 @@ class Device:
     def compiled(self) -> Compiled:
         """Return the functions by which machine code reads and writes the device.
 
-        If the driver has no compiled form, these functions call its methods in Python, and take the interpreter lock
-        for this.
+        If the driver has no compiled form, these functions call its Python methods, with the interpreter lock.
 
         Raises
         ------
@@ -268,14 +267,14 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Attempt to make the device safe, in the background, until it is safe; other calls wait for a running attempt.
+        """Attempt to make the device safe, in the background, until an attempt succeeds; other calls wait for its end.
 
         Parameters
         ----------
         every : float
             Time between two attempts [s].
         wanted : callable
-            Returns whether the device must still be made safe.
+            Returns whether the device must still be made safe; the attempts end otherwise.
         done : callable
             Called when the device is safe.
         """
@@ -295,7 +294,7 @@ class Device:
                     over.set()
 
     def desist(self) -> None:
-        """Stop the background attempts to make the device safe, after the end of a running attempt."""
+        """Stop the background attempts to make the device safe; wait for the end of a running attempt."""
         self._over.set()
         with self._calling:
             pass
@@ -306,7 +305,7 @@ class Device:
         Returns
         -------
         str
-            Problem that remains at the device, for instance a voltage that is still at the output; empty: none.
+            Problem that remains, for instance a voltage at the output; empty without a problem.
         """
         self.desist()
         if not self._open:
@@ -317,14 +316,14 @@ class Device:
                 self.make_safe()
             except DriverError as error:
                 wrong = str(error)
-        # the error can no longer be handled
+        # no caller can handle the error any more
         with contextlib.suppress(DriverError), self._named("cannot be closed"):
             self._driver.close()
         self._open = False
         return wrong
 
 
-#: A fused run ends when a method in Python has not returned after this time [s]; drivers have time-outs of their own.
+#: A fused run ends if a Python method has not returned after this time [s]; drivers have time-outs of their own.
 METHOD_PATIENCE = 5.0
 
 _NUMBERS = ctypes.POINTER(ctypes.c_double)
@@ -332,10 +331,10 @@ _COUNT = ctypes.POINTER(ctypes.c_int64)
 
 
 class _MethodFunctions:
-    """The methods of a driver in Python as functions that machine code calls by their addresses.
+    """The Python methods of a driver as functions that machine code calls by their addresses.
 
-    An exception becomes an error code, the number of the function in which it was raised; ``explain`` returns the
-    exception for this code.
+    An exception becomes an error code: the number of the function that raised it. ``explain`` returns the exception of
+    a code.
     """
 
     def __init__(self, device: Device):
@@ -398,7 +397,7 @@ class _MethodFunctions:
 
 
 def _as_driver_error(error: Exception) -> DriverError:
-    """Return the error of a driver as a DriverError that states what to do."""
+    """Return the error of a driver as a DriverError with a remedy."""
     if isinstance(error, DriverError):
         return error
     return DriverError(f"{type(error).__name__}:", str(error), "check the device, its connection and its driver")

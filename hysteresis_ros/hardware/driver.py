@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The contract of a driver: five methods between an axis and a device, the declaration, and helpers for drivers.
+"""The contract of a driver: five methods between an axis and a device, its declaration, and helpers for drivers.
 
-The package sets the sample times. In each sample it reads the positions and, when the sample is over, writes the
-voltages, which are held until the next sample. The package supervises reading and writing
+The package sets the sample times. In each sample it reads the positions and, at the end of the sample, writes the
+voltages; the device holds them until the next write. The package supervises reading and writing
 (:mod:`hysteresis_ros.loop.device`), and never calls two methods at the same time. A method must return within a small
 fraction of a sample.
 """
@@ -39,9 +39,9 @@ class DriverError(HysteresisError):
     Parameters
     ----------
     device : str
-        Name of the device, for instance driver and address.
+        Name of the device, for instance with driver and address.
     problem : str
-        The problem; in the message it follows the name.
+        Problem; follows the name in the message.
     remedy : str
         What to do.
     """
@@ -66,21 +66,21 @@ class Capabilities:
     highest_rate : float
         Highest rate at which the device can be read and written [Hz].
     watchdog : float or None
-        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: it has
-        no watchdog.
+        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: no
+        watchdog.
     keeps_time : bool
-        Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package has no loop that
-        follows a device, so the package refuses such a device.
+        Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package refuses such a
+        device, because no loop of the package follows a device.
     position_unit, voltage_unit : str
-        Units of the readings and of the output. Units other than ``m`` and ``V`` are converted by the parameters
-        ``calibration`` of the plant's node, and these parameters must name the units.
+        Units of the readings and of the output. The parameters ``calibration`` of the plant's node convert other units
+        than ``m`` and ``V`` and must name them.
     forces : int
-        Number of forces [N] that the device reads in addition to the positions; for an axis 1 (the force in the stack)
-        or 0.
+        Number of forces [N] that the device reads in addition to the positions; for an axis 0, or 1 (the force in the
+        stack).
     clock : bool
         Whether the device outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
     trigger_rate : float
-        Highest rate of triggers that the device outputs [Hz]; 0: the device has no output for triggers.
+        Highest trigger rate of the device [Hz]; 0: no output for triggers.
     compares : bool
         Whether the device outputs triggers by comparing positions itself (:meth:`Driver.compare`); otherwise the loop
         requests each trigger (:meth:`Driver.output_trigger`).
@@ -126,35 +126,35 @@ class Compiled(NamedTuple):
     pulses: int = 0
     #: The run ends when a function has not returned after this time [s].
     patience: float = 0.5
-    #: Whether the functions call methods in Python, so that they have to wait for the interpreter lock.
+    #: Whether the functions call Python methods, and so wait for the interpreter lock.
     calls_python: bool = False
 
 
-#: Remedy for a device without triggers.
+#: Remedy for a device without an output for triggers.
 NO_TRIGGERS = "set trigger_output: false; the topic trigger_out has the triggers"
 
-#: Result of reading a sample without a measurement; this is not an error.
+#: Result of ``read`` for a sample without a measurement; not an error.
 NOTHING_NEW = -1
 
 
 class Reading(NamedTuple):
     """Measurements of a device in a sample."""
 
-    #: Position of each joint [position_unit]; NaN without a measurement. Values that are not finite are not used.
+    #: Position of each joint [position_unit]; NaN without a measurement. An infinite value is an error.
     positions: tuple[float, ...]
     #: Forces [N], as many as in the capabilities; NaN without a measurement.
     forces: tuple[float, ...] = ()
 
 
 class Driver(ABC):
-    """Base class of the drivers: a device that replaces the plant. Every error is a :class:`DriverError`.
+    """Base class of the drivers, for a device that replaces the plant. Every error is a :class:`DriverError`.
 
-    An instance is opened once. ``close`` is the last call, also if ``open`` has failed.
+    An instance is opened once. ``close`` is the last call, also after a failure of ``open``.
     """
 
     @abstractmethod
     def open(self, parameters: Any, sample_rate: float) -> Capabilities:
-        """Take the device for exclusive use, and leave it in its safe state.
+        """Open the device for exclusive use, and leave it in its safe state.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Driver(ABC):
 
     @abstractmethod
     def write(self, voltages: Sequence[float]) -> None:
-        """Output the voltages of the axis, and hold them.
+        """Output the voltages of the axis; the device holds them until the next call.
 
         Parameters
         ----------
@@ -195,12 +195,11 @@ class Driver(ABC):
         """
 
     def output_clock(self, edges: Edge) -> None:
-        """Output the scan edges (frames, lines, pixels) of this sample, e.g. as pulses of three lines; optional.
+        """Output the scan edges of this sample (beginnings of frames, lines, pixels), e.g. as digital pulses; optional.
 
-        This method is called after :meth:`write` of the same sample, and only for a device with ``clock`` in its
-        capabilities and with ``scan_clock`` in the parameters of the plant's node. In nodes that exchange messages it
-        is called when the message on ``scan_clock`` arrives. It is also called in skipped samples, although no voltage
-        is written in them.
+        This method is called after :meth:`write` of the same sample, only if the capabilities contain ``clock`` and the
+        plant's node has ``scan_clock: true``. In nodes that exchange messages it is called when the message on
+        ``scan_clock`` arrives. It is also called in skipped samples, in which no voltage is written.
 
         Parameters
         ----------
@@ -216,18 +215,18 @@ class Driver(ABC):
         raise DriverError(type(self).__name__, "has no outputs for the clock of a scan", remedy)
 
     def output_trigger(self, number: int, delay: float) -> None:
-        """Output a trigger, for instance a pulse of a digital line; optional.
+        """Output a trigger, for instance a pulse on a digital line; optional.
 
-        This method is called after :meth:`write` of the sample that follows the trigger, and only for a device with
-        ``trigger_rate`` in its capabilities and with ``trigger_output`` in the parameters of the plant's node. In nodes
-        that exchange messages it is called when the message on ``trigger_out`` arrives.
+        This method is called after :meth:`write` of the sample after the trigger, only if the capabilities contain a
+        ``trigger_rate`` above 0 and the plant's node has ``trigger_output: true``. In nodes that exchange messages it
+        is called when the message on ``trigger_out`` arrives.
 
         Parameters
         ----------
         number : int
-            Number of the trigger, from 1; numbers are missing if triggers followed each other too fast.
+            Number of the trigger, from 1; the numbers of triggers that followed others too fast are missing.
         delay : float
-            Time from the trigger to the sample [s], for a device that corrects for this time.
+            Time from the trigger to the sample [s], for a device that compensates for it.
 
         Raises
         ------
@@ -239,14 +238,13 @@ class Driver(ABC):
     def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
         """Output a trigger at each of these positions; optional.
 
-        The device outputs triggers from the next :meth:`write` on, until :meth:`make_safe`, and measures the position
-        by itself. This method is called once after :meth:`open`, only for a device with ``compares`` in its
-        capabilities.
+        The device measures the position by itself and outputs triggers from the next :meth:`write` until
+        :meth:`make_safe`. This method is called once after :meth:`open`, only if the capabilities contain ``compares``.
 
         Parameters
         ----------
         up, down : sequence of float
-            Increasing positions that trigger when they are passed upwards, and downwards [position_unit].
+            Increasing positions that trigger when passed upwards, and when passed downwards [position_unit].
 
         Raises
         ------
@@ -258,8 +256,8 @@ class Driver(ABC):
     def pulses(self) -> int:
         """Return the number of pulses at the trigger input since the last call; optional.
 
-        This method is called after :meth:`read`, only for a device with ``trigger_input`` in its capabilities and with
-        ``trigger_input`` in the parameters of the plant's node.
+        This method is called after :meth:`read`, only if the capabilities contain ``trigger_input`` and the plant's
+        node has ``trigger_input: true``.
 
         Raises
         ------
@@ -270,14 +268,14 @@ class Driver(ABC):
         raise DriverError(type(self).__name__, "has no trigger input", remedy)
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code accesses the open device; None: it has only Python methods.
+        """Return the functions by which machine code accesses the open device; None: only Python methods.
 
-        The functions stay valid until :meth:`close`. Without these functions the fused loop calls the methods, and
-        waits for Python's interpreter lock in each sample.
+        The functions stay valid until :meth:`close`. Without them the fused loop calls the Python methods, and waits
+        for the interpreter lock in each sample.
         """
         return None
 
-    #: Last voltage sent to the device [voltage_unit], if this can differ from the last written voltage.
+    #: Last voltage sent to the device [voltage_unit], if it can differ from the last argument of :meth:`write`.
     last_output: float | None = None
 
     @abstractmethod
@@ -292,17 +290,17 @@ class Driver(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release the device, which has been made safe before; idempotent."""
+        """Release the device, which is already in its safe state; idempotent."""
 
 
 @dataclass(frozen=True, eq=False)
 class EmulatedDevice:
-    """An emulated device that runs as a separate process (``hysteresis emulate``), for a driver or another program.
+    """An emulated device in a separate process (``hysteresis emulate``), for a driver or another program.
 
     Parameters
     ----------
     parameters : type of Parameters
-        Options of the command in addition to the plant and its faults.
+        Options of the command, besides the plant and its faults.
     start : callable
         ``start(parameters, bench)`` starts the device on a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`. It
         returns a context manager, which yields a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
@@ -319,7 +317,7 @@ class HardwareDriver:
     Parameters
     ----------
     name : str
-        ``driver`` of the plant's node.
+        Value of ``driver`` of the plant's node.
     title : str
         Short description.
     parameters : type of Parameters
@@ -328,15 +326,13 @@ class HardwareDriver:
     driver : type of Driver
         Class of the driver; its constructor has no arguments.
     emulator : callable, optional
-        ``emulator()`` returns a context manager that emulates the device and gives the parameters with which to open
-        it. The contract test needs the emulator, and so do tests of the driver without the device. Only a library given
-        by its path has no emulator. :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is
-        called.
+        ``emulator()`` returns a context manager that emulates the device and yields the parameters for opening it. The
+        contract test and other tests without the device need it. Only a library that is given by its path has none.
+        :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is called.
     device : EmulatedDevice or str, optional
-        The emulated device that runs as a separate process, or the dotted path ``package.module:DEVICE`` of its
-        declaration.
+        The emulated device in a separate process, or the path ``package.module:DEVICE`` of its declaration.
     package : str
-        Additional module that the driver needs, installed by the extra with the driver's name; '': none.
+        Additional module that the driver needs; the extra with the driver's name installs it; '': none.
     """
 
     name: str
@@ -349,19 +345,19 @@ class HardwareDriver:
 
     @property
     def emulated(self) -> EmulatedDevice | None:
-        """The emulated device; it is imported if only its path is given."""
+        """The emulated device, imported if only its path is given."""
         return resolved(self.device) if isinstance(self.device, str) else self.device
 
 
 #: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, the fraction of these samples that must be fast enough at the highest rate, and the fraction
-#: of a sample period that a driver may use.
+#: Number of trial samples, fraction of them that must be fast enough at the highest rate, and fraction of the sample
+#: period that a driver may use.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 
 def claim(path: pathlib.Path, name: str) -> int:
-    """Lock the file of a device for this process and return its descriptor, which holds the lock until it is closed.
+    """Lock the file of a device for this process and return the descriptor; the lock lasts until it is closed.
 
     Parameters
     ----------
@@ -405,7 +401,7 @@ def ramp(put_out: Callable[[float], None], start: float, end: float, duration: f
 
 
 def highest_rate(write: Callable[[], None], read: Callable[[], object]) -> float:
-    """Return the rate [Hz] at which nearly all samples leave enough time for the other parts of an axis.
+    """Return the rate [Hz] at which 90 % of the trial samples leave half of the sample period to the axis.
 
     Parameters
     ----------

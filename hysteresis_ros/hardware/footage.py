@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Frames from folders of pictures and from videos, and the size of a pixel [m]; needs the optional extra OpenCV."""
+"""Frames from folders of pictures and from videos, and the size of a pixel [m]; needs OpenCV (an optional extra)."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Requirements for a scale: least ratio of motion to uncertainty of a position, and least number of positions.
+#: Requirements for a scale: minimum ratio of RMS motion to the standard error of the residual, and minimum number of
+#: positions.
 CLEAR, LEAST_PLACES = 20.0, 3
-#: Least distance between two edges of a target [px].
+#: Minimum distance between the two edges of a target [px].
 APART = 12
 
 
 class Scale(NamedTuple):
-    """Displacements as a linear function of positions in frames."""
+    """Displacement as a linear function of the position in a frame."""
 
     #: [m/px], always above 0.
     metres_per_pixel: float
     #: Standard deviation of the scale [m/px].
     uncertainty: float
-    #: Direction of a motion: 1, or -1 if the position decreases with increasing displacement.
+    #: Direction: 1, or -1 if the position decreases with increasing displacement.
     sign: int = 1
     #: Displacement at position 0, if the scale comes from a motion [m].
     offset: float = math.nan
@@ -47,10 +48,10 @@ class Scale(NamedTuple):
 
 
 def scale_of_motion(pixels, displacements) -> Scale:
-    """Return the scale of a known motion.
+    """Return the scale from positions and known displacements.
 
     Units: ``pixels`` [px], NaN for a refused frame; ``displacements`` [m]; both of shape (N,). FrameError: there are
-    too few positions, or their motion is too small.
+    too few positions, or they do not follow the displacements.
     """
     pixels, displacements = np.asarray(pixels, dtype=float), np.asarray(displacements, dtype=float)
     if pixels.shape != displacements.shape:
@@ -59,7 +60,7 @@ def scale_of_motion(pixels, displacements) -> Scale:
     there = np.isfinite(pixels) & np.isfinite(displacements)
     count = int(np.count_nonzero(there))
     if count < LEAST_PLACES:
-        raise FrameError(f"only {count} frames show a position with a known displacement: {LEAST_PLACES} are needed")
+        raise FrameError(f"only {count} frames have a position and a known displacement; {LEAST_PLACES} are needed")
     x, y = pixels[there], displacements[there]
     spread = x - x.mean()
     squares = float(np.sum(spread**2))
@@ -69,7 +70,7 @@ def scale_of_motion(pixels, displacements) -> Scale:
     if not abs(slope) * math.sqrt(squares / count) > CLEAR * residual / math.sqrt(count) or slope == 0.0:
         text = f"positions that move by {np.ptp(x):.3g} px do not follow the known displacements"
         raise FrameError(
-            f"{text} (a straight line leaves {1e6 * residual:.3g} µm RMS): check that the displacements belong to "
+            f"{text} (RMS residual of a straight line {1e6 * residual:.3g} µm): check that the displacements belong to "
             "these frames, in the same order"
         )
     uncertainty = residual / math.sqrt(squares)
@@ -77,7 +78,7 @@ def scale_of_motion(pixels, displacements) -> Scale:
 
 
 def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, largest_blur: float) -> Scale:
-    """Return the scale of a frame that shows two parallel edges of a known distance ``size`` [m].
+    """Return the scale from a frame that shows two parallel edges at a known distance ``size`` [m].
 
     The edges cross the rows of ``grey``, grey levels of 0 to 255. ``smallest_contrast`` and ``largest_blur`` are as in
     :func:`hysteresis_ros.hardware.tracker.find_edge`. FrameError: the frame does not show two edges.
@@ -91,7 +92,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     found = [(first, find_edge(np.ascontiguousarray(part), smallest_contrast, largest_blur)) for first, part in sides]
     others = [(first + edge.pixels, edge) for first, edge in found if not edge.refusal]
     if not others:
-        raise FrameError(f"no target: only one edge, in column {strongest.pixels:.1f}")
+        raise FrameError(f"no target: only one edge was found, in column {strongest.pixels:.1f}; two are needed")
     column, other = max(others, key=lambda item: item[1].contrast)
     apart = abs(column - strongest.pixels) * math.cos(math.atan(0.5 * (strongest.slope + other.slope)))
     scale = size / apart
@@ -101,7 +102,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
 
 #: Suffixes of pictures.
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-#: Largest ratio of missing numbers to pictures up to which the numbers in the names are taken as frame numbers.
+#: The numbers in the names are frame numbers if their span is below this multiple of the number of pictures.
 GAPS = 10
 
 _NUMBER = re.compile(r"(\d+)\D*$")
@@ -115,7 +116,7 @@ def opencv() -> Any:
     FrameError
         OpenCV is not installed.
     """
-    # OpenCV's own limit is a gigapixel; OpenCV reads this variable only once
+    # OpenCV's own limit is a gigapixel; OpenCV reads this variable only once, at its import
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     try:
         import cv2
@@ -133,8 +134,8 @@ class Footage:
     Parameters
     ----------
     source : path-like
-        Folder of pictures, or video. Pictures are used in the order of the numbers in their names; if all have a
-        number, a missing number is a lost frame.
+        Folder of pictures, or video. The order is that of the numbers in the names; a missing number is a lost frame.
+        Unless all names have different numbers, the order is alphabetical.
     rate : float, optional
         Frame rate [Hz]; by default the frame rate of the video.
 
@@ -154,7 +155,7 @@ class Footage:
     def __init__(self, source, rate: float | None = None):
         self._source, self._cv2 = pathlib.Path(source), opencv()
         if not self._source.exists():
-            raise FrameError(f"{self._source}: there is no such file or folder; give a video or a folder of pictures")
+            raise FrameError(f"{self._source}: no such file or folder; give a video or a folder of pictures")
         if self._source.is_dir():
             self._pictures = numbered(path for path in self._source.iterdir() if path.suffix.lower() in PICTURES)
             self.count = self._pictures[-1][0] + 1 if self._pictures else 0
@@ -171,7 +172,7 @@ class Footage:
             raise FrameError(f"{self._source}: has no frame rate: give --rate HZ")
 
     def __iter__(self) -> Iterator[np.ndarray | None]:
-        """Yield the grey levels of each frame, 0 to 255; None for a frame that is lost or cannot be read."""
+        """Yield the grey levels of each frame, 0 to 255; None for a lost or unreadable frame."""
         return self._each_picture() if self._source.is_dir() else self._each_of_video()
 
     def _each_picture(self) -> Iterator[np.ndarray | None]:
@@ -214,7 +215,7 @@ def numbered(paths) -> list[tuple[int, pathlib.Path]]:
 
 
 def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] = lambda number: None) -> Recording:
-    """Return the displacements that are found in frames, ``measured`` [m], and the quality of each frame.
+    """Return a recording of the displacements in frames, ``measured`` [m], and of the quality of each frame.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] 
     Raises
     ------
     FrameError
-        No frame shows the tip; the message states why the first frame does not.
+        No frame shows the tip; the message gives the reason for the first refused frame.
     """
     rows, reasons, first = [], Counter[str](), ""
     for number, grey in enumerate(frames):
@@ -237,7 +238,7 @@ def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] 
             reasons[place.refusal.partition(":")[0]] += 1
             first = first or place.refusal
     if not np.isfinite([row[0] for row in rows]).any():
-        raise FrameError(f"the tip was found in none of {len(rows)} frames; the first frame: {first}")
+        raise FrameError(f"the tip was not found in any of {len(rows)} frames; reason for the first frame: {first}")
     names = ("measured", "pixels", "uncertainty", "contrast", "blur")
     units = {"pixels": "px", "uncertainty": "px", "contrast": "1", "blur": "px"}
     notes = [f"{count} of {len(rows)} frames give no displacement: {reason}" for reason, count in reasons.items()]

@@ -10,11 +10,11 @@
 """Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted folders.
 
 The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
-must belong to root, to the user of this process, or to the owner of this package (that user can change the package
-too), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all
-users: only the owner of an entry can remove or rename this entry, and the owner is checked in the next step. A group
-may have write permission if it has no other members, such as the private group that many systems give each user. Access
-control lists are not checked.
+must belong to root, to the user of this process, or to the owner of this package (who can change the package anyway),
+and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all users,
+because only the owner of an entry can remove or rename it, and the entry is checked next. A group may have write
+permission if it has no other members, such as the private group of a user on many systems. Access control lists are not
+checked.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from hysteresis_ros.hardware.driver import (
 )
 from hysteresis_ros.signals import Edge
 
-#: Environment variable: the only folders from which drivers are loaded; not set: any folder.
+#: Environment variable with the only folders from which drivers are loaded; if it is not set, any folder.
 FOLDERS = "HYSTERESIS_DRIVERS"
 
 
 def require_trusted(path: pathlib.Path) -> pathlib.Path:
-    """Return the real path of an existing file, if no other user can change it.
+    """Return the real path of an existing file; refuse a file that another user can change.
 
     DriverError: other users can change the file or a folder on its path, or it is outside the folders of
     ``HYSTERESIS_DRIVERS``; the message names the file or folder, the user, and the remedy.
@@ -60,7 +60,7 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
         for folder in folders.split(os.pathsep)
         if folder
     ):
-        remedy = f"put it into one of these folders, or add its folder to {FOLDERS}"
+        remedy = f"move it to one of these folders, or add its folder to {FOLDERS}"
         raise DriverError(name, f"is not loaded: it is outside the folders {FOLDERS}={folders}", remedy)
     trusted = {0, os.geteuid(), pathlib.Path(__file__).stat().st_uid}
     for place in _on_the_way(path.absolute()):
@@ -71,7 +71,7 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
 
 
 def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield the folders and symbolic links on the path of an existing file, and the file."""
+    """Yield all folders and symbolic links on the path of an existing file, then the file."""
     ahead, here = list(reversed(path.parts[1:])), pathlib.Path(path.anchor)
     yield here
     while ahead:
@@ -87,13 +87,13 @@ def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
-    """Return which other user can change a file, a folder or a link, and the remedy; empty texts: no other user."""
+    """Return how another user can change a file, a folder or a link, and the remedy; empty texts if none can."""
     found = place.lstat()
     if found.st_uid not in trusted:
         whose = f"{place} belongs to {_user(found.st_uid)}"
         return whose, f"make it yours (chown {_user(os.geteuid())} {place}), or copy the driver to a folder of your own"
     if stat.S_ISLNK(found.st_mode):
-        return "", ""  # only the owner of a link, or a user with write access to its folder, can change its target
+        return "", ""  # only its owner, or a user with write access to its folder, can change the target of a link
     mode = f"{place} (mode {stat.S_IMODE(found.st_mode):04o})"
     sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     if found.st_mode & stat.S_IWOTH and not sticky:
@@ -117,7 +117,7 @@ def _members(group: int) -> set[int]:
 
 
 def _user(number: int) -> str:
-    """Return the name of a user, or the number if there is no name."""
+    """Return the name of a user; without a name, the number."""
     try:
         return pwd.getpwuid(number).pw_name
     except KeyError:
@@ -161,8 +161,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     Raises
     ------
     DriverError
-        There is no such library, another user could replace it, or functions are missing; the message names the missing
-        functions.
+        The library does not exist, another user could replace it, or functions are missing; the message names them.
     """
     path = pathlib.Path(path).expanduser()
     name = f"library {path}"
@@ -210,9 +209,9 @@ def option_texts(parameters: Parameters) -> list[str]:
 
 
 class SharedLibrary(Driver):
-    """A driver in C; each library has a subclass with its path.
+    """A driver in C; a subclass for each library states its path.
 
-    The functions of the library are called through ctypes, which releases the lock of Python, or by their addresses.
+    The functions of the library are called by their addresses, or through ctypes, which releases the interpreter lock.
     """
 
     #: The library.
@@ -226,8 +225,7 @@ class SharedLibrary(Driver):
         Parameters
         ----------
         parameters : Parameters
-            Its entries are the options for ``hysteresis_open``; an instance of :class:`LibraryParameters` contains the
-            options as texts.
+            Options for ``hysteresis_open``: the entries, or the texts in an instance of :class:`LibraryParameters`.
         sample_rate : float
             [Hz]
 
@@ -263,7 +261,7 @@ class SharedLibrary(Driver):
         return DriverError(name, problem.strip(), remedy.strip() or "check the device and its driver")
 
     def read(self) -> Reading:
-        """Return the positions; NaN when there is no new measurement.
+        """Return the positions; NaN without a new measurement.
 
         Raises
         ------
@@ -297,7 +295,7 @@ class SharedLibrary(Driver):
         self._check(self._library.hysteresis_write(self._device, self._voltages))
 
     def output_clock(self, edges: Edge) -> None:
-        """Output the scan edges of this sample: the frames, lines and pixels that begin.
+        """Output the scan edges of this sample: the beginnings of frames, lines and pixels.
 
         Parameters
         ----------
@@ -378,12 +376,12 @@ class SharedLibrary(Driver):
 
 
 def nonsense(name: str) -> DriverError:
-    """Return the error of the device ``name``, whose position is not a number."""
+    """Return the error for a position of the device ``name`` that is not a number."""
     return DriverError(f"{name}:", "returns a position that is not a number", "check the sensor and its scaling")
 
 
 def library_driver(path: pathlib.Path) -> HardwareDriver:
-    """Return the driver in a shared library, to be opened with ``driver_options``; DriverError: it is not a driver."""
+    """Return the driver in a shared library, which ``driver_options`` configure; DriverError: not a driver."""
     loaded(path)
     driver = type("SharedLibrary", (SharedLibrary,), {"path": path})
     return HardwareDriver(name=str(path), title="a shared library", parameters=LibraryParameters, driver=driver)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registry of the drivers in the folder ``drivers``, in other packages (entry points), or at a given path."""
+"""Registry of the drivers in the folder ``drivers`` and in other packages (entry points); drivers at a given path."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hysteresis_ros.hardware.driver import DriverError, HardwareDriver
 from hysteresis_ros.hardware.library import SUFFIXES, LibraryParameters, library_driver, require_trusted
 from hysteresis_ros.registry import discover
 
-#: Group of entry points by which a package adds a driver: ``my_stage = my_package.my_stage:DRIVER``.
+#: Group of entry points with which a package adds a driver: ``my_stage = my_package.my_stage:DRIVER``.
 GROUP = "hysteresis_ros.drivers"
 
 #: The declaration of each driver, by name.
@@ -38,7 +38,7 @@ _TRUTHS = {"true": True, "false": False}
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Compiles a file each time and ignores cached bytecode, because another user might have changed the cache."""
+    """Loader that compiles a file each time; it ignores cached bytecode, which another user might have changed."""
 
     def get_code(self, fullname: str):
         """Return the code of the file."""
@@ -47,7 +47,7 @@ class _FromSource(importlib.machinery.SourceFileLoader):
 
 
 def driver_of(name: str) -> HardwareDriver:
-    """Return the driver that a parameter file names, in the registry or by a path that contains a slash.
+    """Return the driver that a parameter file names; a name with a slash is a path, any other is in the registry.
 
     DriverError: the driver does not exist, or the file is not a driver.
     """
@@ -76,7 +76,7 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
     if not path.is_file():
         raise DriverError(where, "does not exist", "give the path of a Python file that declares DRIVER")
     require_trusted(path)
-    # pickling, dataclasses and cached machine code look up the module by its name, in other processes too
+    # pickling, dataclasses and cached machine code look the module up by this name, also in other processes
     name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
     specification: Any = importlib.util.spec_from_file_location(name, path, loader=_FromSource(name, str(path)))
     module = importlib.util.module_from_spec(specification)
@@ -96,9 +96,9 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
 
 
 def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters:
-    """Return the parameters given by the options ``NAME=VALUE`` of a parameter file, for a driver given by a path.
+    """Return the parameters in the options ``NAME=VALUE`` of a parameter file, for a driver at a path.
 
-    ParameterError: an option has another form, or the driver does not accept it.
+    ParameterError: an option has another form, or the driver refuses it.
     """
     if declared.parameters is LibraryParameters:
         return LibraryParameters(options)
@@ -121,7 +121,7 @@ def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters
 
 
 def _value_of(row: ParameterRow | None, text: str):
-    """Return the value of a text, in the type that the parameter's row declares."""
+    """Return the value in a text, with the type that the parameter's row declares."""
     if row is None or row.type is str:
         return text
     if row.type is bool:

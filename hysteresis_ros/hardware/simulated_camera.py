@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A camera that renders a frame of a simulated tip at each sample, and delivers it some frames later.
+"""A simulated camera: takes a frame of a simulated tip in each sample, and delivers it some frames later.
 
 A bright body with a straight edge moves along the rows of the frame in front of a dark background. The optics blur the
-edge, the light drifts, the sensor has noise and 8 bits. With this camera trackers can be tested, and a loop can be
-closed through frames without a real camera.
+edge, the light drifts, and the sensor has noise and 8 bits. The camera serves to test trackers, and to close a loop
+through frames without a real camera.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
 
-#: Half the width over which an edge is blurred [standard deviations].
+#: Half width of the rendered blur of an edge [standard deviations].
 REACH = 6.0
 LARGEST = 255.0
 
@@ -93,7 +93,7 @@ class Scene:
         self._grain = self._make_grain()
 
     def _make_grain(self) -> np.ndarray | None:
-        """Return the grain of the body's surface behind its edge: wider than the frame, and smooth over two pixels."""
+        """Return the grain of the body, three frames wide and smooth over about two pixels; None without grain."""
         given = self.parameters
         if not given.texture:
             return None
@@ -106,7 +106,7 @@ class Scene:
         return grain
 
     def _body(self, pixels: float) -> np.ndarray | float:
-        """Return the body's grey level after a motion in pixels, shape (height, width); a number if it has no grain."""
+        """Return the body's grey levels after a motion [px], shape (height, width); a number without grain."""
         given = self.parameters
         if self._grain is None:
             return given.bright
@@ -150,13 +150,13 @@ class Scene:
         return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
 
     def _covered(self, inside: np.ndarray) -> np.ndarray:
-        """Return the fraction of a pixel's light that comes from the body, at ``inside`` [px] within its edge."""
+        """Return the fraction of a pixel's light that comes from the body, at ``inside`` [px] from the edge."""
         # a pixel collects light over its width, so this is the integral of the blurred edge
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
         """Return the integral of a blurred edge up to a distance from the edge [px]."""
-        # imported at first use, because every node imports the parameters but only rendering needs it
+        # imported here, because every node imports this module for the parameters, but only rendering needs SciPy
         from scipy.special import erf
 
         sigma = self.parameters.blur
@@ -195,7 +195,7 @@ class SimulatedCamera:
         self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
 
     def take(self, displacement: float) -> np.ndarray:
-        """Take a frame of the tip and return the frame that arrives now; at first it shows the first displacement.
+        """Take a frame of the tip and return the frame that arrives now; the first frames show the first displacement.
 
         Parameters
         ----------

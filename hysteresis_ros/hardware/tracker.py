@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Displacement from images: for each frame the position of the tip and its uncertainty, or why the frame is refused.
+"""Displacement from images: for each frame, position and uncertainty of the tip, or the reason for a refusal.
 
 Pixels are converted to grey levels. The position of an edge, or the motion of a pattern, is found to about a hundredth
 of a pixel.
@@ -17,10 +17,11 @@ of the edge; a symmetric blur does not change this sum. A line through all rows 
 uncertainty. The blur is determined from the grey levels of all pixels as a function of their distance from this line,
 as in the slanted-edge method of ISO 12233.
 
-For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane, and its slopes are the
-displacement (H. S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for
-subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted at the
-lower frequencies, which noise and aliasing hardly affect, weighted by the magnitude of the cross-spectrum.
+For a pattern, the phase of the cross-spectrum, after the shift by whole pixels, is a plane; the slopes of this plane
+are the remaining displacement (H. S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based
+algorithm for subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is
+fitted at the lower frequencies, which noise and aliasing hardly affect, with the magnitude of the cross-spectrum as
+weight.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class FrameError(HysteresisError):
     """An image cannot be read as a frame."""
 
 
-#: Supported encodings of ``sensor_msgs/Image``: bytes per channel, channels, positions of red, green and blue.
+#: Supported encodings of ``sensor_msgs/Image``: bytes per channel, number of channels, and places of red, green and
+#: blue.
 ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "mono8": (1, 1, ()),
     "8UC1": (1, 1, ()),
@@ -53,7 +55,7 @@ ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "bgra8": (1, 4, (2, 1, 0)),
 }
 
-#: Maximum number of pixels of an image; it allows 7680 x 4320.
+#: Maximum number of pixels of an image; enough for 7680 x 4320.
 MOST_PIXELS = 2**25
 
 #: Weights of red, green and blue in the luminance of ITU-R BT.601.
@@ -66,7 +68,7 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     Parameters
     ----------
     data : bytes-like
-        Rows one after the other.
+        The rows, one after the other.
     encoding : str
         One of :data:`ENCODINGS`.
     shape : tuple of int
@@ -84,7 +86,7 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     Raises
     ------
     FrameError
-        The encoding is unknown, there are too few data, or the image is too large.
+        The encoding is not supported, the data are too few, or the image is too large.
     """
     rows, columns = shape
     if encoding not in ENCODINGS:
@@ -116,15 +118,15 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
 BLOCK, LAG = 16, 4
 #: Largest distance of a block from the line through all blocks [px].
 STRAY = 6.0
-#: Number of columns at each end of a window whose mean is the grey level of that side.
+#: Number of columns at each end of a window; their mean is the grey level of that side.
 PLATEAU = 4
 #: Fraction of the rows that must show the edge.
 LEAST_ROWS = 0.5
-#: Distance of outliers from the line in standard deviations, and number of iterations.
+#: Distance from which a row is an outlier [standard deviations], and number of iterations.
 OUTLIER, EDGE_LOOKS = 4.0, 3
 #: Bins per pixel of the profile across the edge.
 BINS = 4
-#: The points at 16 % and 84 % of the height of a step blurred by a Gaussian are two standard deviations apart.
+#: In a step blurred by a Gaussian, the points at 16 % and 84 % of the height are two standard deviations apart.
 LOW_PART, HIGH_PART = 0.158655, 0.841345
 
 
@@ -135,8 +137,7 @@ class Place(NamedTuple):
     pixels: float
     #: Standard deviation of the column, estimated from this frame alone [px].
     uncertainty: float
-    #: Contrast of the edge in grey levels (at most 255); for a pattern its correlation with the first frame (at most
-    #: 1).
+    #: Contrast of an edge in grey levels (at most 255), or coherence of a pattern with the first frame (at most 1).
     contrast: float
     #: Standard deviation of the blur [px]; NaN if unknown.
     blur: float
@@ -147,7 +148,7 @@ class Place(NamedTuple):
 
 
 def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) -> Place:
-    """Return a place without a position.
+    """Return the result for a frame without a position.
 
     Parameters
     ----------
@@ -162,8 +163,8 @@ def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) ->
 def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -> Place:
     """Return the position of the strongest edge across the rows of a frame, at the middle row.
 
-    ``grey`` has levels of 0 to 255, shape (rows, columns). ``smallest_contrast`` is the required difference of grey
-    levels between the sides of the edge, ``largest_blur`` the largest standard deviation of the blur [px].
+    ``grey`` has levels of 0 to 255, shape (rows, columns). ``smallest_contrast`` is the smallest allowed difference of
+    grey levels between the sides of the edge, ``largest_blur`` the largest allowed standard deviation of the blur [px].
     """
     half = math.ceil(3.0 * largest_blur) + PLATEAU
     if grey.shape[1] < 2 * half + 2 or grey.shape[0] < 2 * BLOCK:
@@ -175,9 +176,9 @@ def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -
     if isinstance(place, Place):
         return place
     if not place.blur <= largest_blur:
-        text = f"blurred: a standard deviation of {place.blur:.3g} px, largest_blur is {largest_blur:g}"
+        text = f"blurred: standard deviation {place.blur:.3g} px, but largest_blur is {largest_blur:g}"
         return nowhere(text, place.contrast, place.blur)
-    # the rest of the window would only add noise and varying light
+    # a wider window would only add noise and varying light
     place = _across(grey, rows, place.line, min(math.ceil(3.5 * place.blur) + PLATEAU, half), smallest_contrast)
     if isinstance(place, Place):
         return place
@@ -197,7 +198,7 @@ class _Found(NamedTuple):
 
 
 def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contrast: float) -> _Found | Place:
-    """Return the edge in windows of ``2 half + 1`` columns around a line, or the reason why it was not found."""
+    """Return the edge in windows of ``2 half + 1`` columns around a line, or the reason for its absence."""
     first = np.rint(line[0] + line[1] * rows).astype(int) - half
     if first.min() < 0 or first.max() + 2 * half + 1 > grey.shape[1]:
         return nowhere("the edge is at the border of the frame or region")
@@ -218,13 +219,13 @@ def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contra
 
 
 def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return the rows, counted from their middle, and column and slope of the line of the largest grey-level change."""
+    """Return the rows, counted from the middle, and column and slope of a line through the largest grey-level steps."""
     rows = np.arange(grey.shape[0]) - 0.5 * (grey.shape[0] - 1)
     blocks = grey.shape[0] // BLOCK
     means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)
     change = np.abs(means[:, LAG:] - means[:, :-LAG])
     column = np.argmax(change, axis=1)
-    # of a blurred edge, only a part of the step lies between the two compared columns
+    # only a part of a blurred step lies between the two compared columns
     strong = change[np.arange(blocks), column] >= 0.25 * smallest_contrast
     if np.count_nonzero(strong) < max(LEAST_ROWS * blocks, 2):
         return rows, None
@@ -240,7 +241,7 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
 
 
 def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """Return a line through positions versus rows: value at row 0, slope, scatter, and the rows used."""
+    """Return a line through the positions of all rows but outliers: value at row 0, slope, scatter, used rows."""
     kept = np.ones(len(rows), dtype=bool)
     slope = place = scatter = 0.0
     for _ in range(EDGE_LOOKS):
@@ -255,7 +256,7 @@ def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np
 
 
 def _blur(distance: np.ndarray, part: np.ndarray) -> float:
-    """Return the blur [px], from the bright fraction of each pixel as a function of its distance from the edge."""
+    """Return the blur [px], from the bright fraction of the pixels versus their distance from the edge."""
     bins = np.floor((distance - distance.min()) * BINS).astype(int).ravel()
     count = np.bincount(bins)
     mean = np.bincount(bins, weights=part.ravel()) / np.maximum(count, 1)
@@ -268,7 +269,7 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
     return 0.5 * (places[1] - places[0])
 
 
-#: Highest fitted frequency, and frequency above which the details measure the sharpness of a frame [1/px].
+#: Highest fitted frequency, and frequency above which the content counts as fine details [1/px].
 HIGHEST, FINE = 0.2, 0.08
 #: Largest remainder after the shift by whole pixels [px], and maximum number of searches for that shift.
 REST, PATTERN_LOOKS = 0.6, 6
@@ -315,7 +316,7 @@ class Pattern:
         return bool(np.sum(np.abs(self._spectrum[self._low][self._fine])) > 0.0)
 
     def find(self, grey: np.ndarray) -> Place:
-        """Return the movement of a frame along its rows since the first frame.
+        """Return the displacement of the pattern along the rows since the first frame.
 
         Parameters
         ----------
@@ -330,7 +331,7 @@ class Pattern:
         self._shift, cross, spectrum = moved
         weight, phase = np.abs(cross), np.angle(cross)
         if not weight.any():
-            return nowhere(f"{LOST}: the frame shows nothing", 0.0)
+            return nowhere(f"{LOST}: the frame has no content", 0.0)
         u, v = self._u, self._v
         uu, uv, vv = np.sum(weight * u * u), np.sum(weight * u * v), np.sum(weight * v * v)
         ru, rv = -np.sum(weight * u * phase) / (2.0 * np.pi), -np.sum(weight * v * phase) / (2.0 * np.pi)
@@ -350,7 +351,7 @@ class Pattern:
         return Place(self._shift + float(column), uncertainty, coherence, math.nan)
 
     def _moved(self, grey: np.ndarray, shift: int) -> tuple[int, np.ndarray, np.ndarray] | None:
-        """Return the shift in whole pixels, and both spectra at the lower frequencies; None when no shift is found."""
+        """Return the shift in whole pixels, and cross-spectrum and spectrum at lower frequencies; None: no shift."""
         for _ in range(PATTERN_LOOKS):
             if not 0 <= self._column + shift <= grey.shape[1] - self._width:
                 return None
@@ -438,13 +439,13 @@ class CameraParameters(Parameters):
 
 
 def fits(grey: np.ndarray, tracking: TrackingParameters) -> bool:
-    """Return whether the region lies within a frame."""
+    """Return whether the region fits into a frame."""
     x, y, width, height = tracking.region or (0, 0, 0, 0)
     return x + width <= grey.shape[1] and y + height <= grey.shape[0]
 
 
 def turned(grey: np.ndarray, tracking: TrackingParameters) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-    """Return a frame, transposed if necessary so that the motion is along the rows, and the region in it."""
+    """Return a frame and its region, both transposed if necessary so that the motion is along the rows."""
     x, y, width, height = map(int, tracking.region or (0, 0, grey.shape[1], grey.shape[0]))
     return (grey.T, (y, x, height, width)) if tracking.along == "y" else (grey, (x, y, width, height))
 
@@ -467,7 +468,7 @@ class Tracker:
     calibration : SensorCalibration
         Conversion from pixels to metres, including the home position.
     refused : int
-        Number of frames so far that gave no displacement.
+        Number of frames since the start that gave no displacement.
     """
 
     def __init__(self, parameters: CameraParameters):
@@ -485,7 +486,7 @@ class Tracker:
         self.refused = 0
 
     def rehearse(self) -> None:
-        """Compile the functions in advance, so that no frame waits for compilation."""
+        """Compile the functions in advance, so that no frame has to wait."""
         self.calibration.step(math.nan)
 
     def retune(self, parameters: CameraParameters) -> None:
@@ -493,7 +494,7 @@ class Tracker:
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:
-        """Return the displacement [m] (NaN: the frame is refused), and the corresponding position in the frame.
+        """Return the displacement [m] (NaN: the frame is refused), and the position in the frame.
 
         Parameters
         ----------
@@ -517,11 +518,11 @@ class Tracker:
             self._shape = grey.shape
         elif grey.shape != self._shape:
             (rows, columns), (first_rows, first_columns) = grey.shape, self._shape
-            return nowhere(f"the frame has {columns} x {rows} px, the first one had {first_columns} x {first_rows}")
+            return nowhere(f"the frame has {columns} x {rows} px, but the first one had {first_columns} x {first_rows}")
         self._same = self._same + 1 if self._last is not None and np.array_equal(grey, self._last) else 0
         self._last = grey
         if 0 < tracking.frozen_frames <= self._same:
-            return nowhere(f"frozen: {self._same + 1} frames in a row are bit for bit equal")
+            return nowhere(f"frozen: {self._same + 1} frames in a row are identical")
         if not fits(grey, tracking):
             return nowhere(f"region = {tracking.region} does not lie within {grey.shape[1]} x {grey.shape[0]} px")
         if tracking.method == "pattern":

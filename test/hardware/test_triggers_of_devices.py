@@ -217,9 +217,9 @@ def test_a_controller_that_cannot_compare_these_positions_says_so(stand, monkeyp
     device = stand.open(trigger_line_up=1)
     grid = [1e-6, 2e-6, 3e-6]
     for up, down, said in (
-        (grid, grid, "has to trigger during motion down, but gcs.trigger_line_down is 0; give its digital output"),
-        ([1e-6, 2e-6, 4e-6], [], "compares equally spaced positions, two or more; give a grid: triggers.start"),
-        ([1e-6], [], "compares equally spaced positions, two or more"),
+        (grid, grid, "must trigger during motion down, but gcs.trigger_line_down is 0; give the digital output"),
+        ([1e-6, 2e-6, 4e-6], [], "compares only equally spaced positions, at least two; give a grid: triggers.start"),
+        ([1e-6], [], "compares only equally spaced positions, at least two"),
     ):
         with pytest.raises(DriverError, match=said):
             device.compare(up, down)
@@ -227,7 +227,7 @@ def test_a_controller_that_cannot_compare_these_positions_says_so(stand, monkeyp
     device.compare(np.float32(1e-3) + np.arange(10, dtype=np.float32) * np.float32(1e-6), [])
     device.close()
     monkeypatch.delitem(COMMANDS, "TRO")
-    with pytest.raises(DriverError, match="does not know TRO; give 0 as gcs.trigger_line_up"):
+    with pytest.raises(DriverError, match="does not know TRO; set gcs.trigger_line_up"):
         stand.open(trigger_line_up=1)
 
 

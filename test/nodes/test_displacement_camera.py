@@ -97,7 +97,7 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
     for frame, encoding, words in (
         (dim, "mono8", "frame refused: no edge"),
         (empty, "bayer_rggb8", "frame refused: encoding 'bayer_rggb8' is not supported"),
-        (empty[:40], "mono8", "frame refused: the frame has 128 x 40 px, the first one had 128 x 48"),
+        (empty[:40], "mono8", "frame refused: the frame has 128 x 40 px, but the first one had 128 x 48"),
     ):
         assert math.isnan(shown(frame, encoding))
         node.tell_health()

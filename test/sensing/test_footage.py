@@ -97,11 +97,11 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
         (("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "1,b"), "give four numbers, X,Y,W,H"),
         (
             ("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "0,0,500,9"),
-            "in none of 12 frames.* does not lie",
+            "in any of 12 frames.* does not lie",
         ),
         (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "has no frame rate: give --rate HZ"),
         (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "contains no frames"),
-        (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "there is no such file or folder"),
+        (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "no such file or folder"),
         (("{0}/tip.avi", "-o", "x.txt", "--scale", "1um"), "unknown kind of file '.txt'"),
         (("{0}/tip.avi", "--known", "{0}/known.csv", "--rate", "nan"), "'nan': must be a finite number"),
     ],
@@ -165,7 +165,7 @@ def test_a_motion_from_which_no_scale_follows_is_named(pixels, displacements, wo
 
 def test_a_target_without_two_edges_is_named():
     frame = Scene(SceneParameters(**SMALL)).frame(0.0)
-    with pytest.raises(FrameError, match=r"only one edge, in column 80\.."):
+    with pytest.raises(FrameError, match=r"only one edge was found, in column 80\.."):
         scale_of_target(frame, 1e-4, 20.0, 4.0)
     with pytest.raises(FrameError, match="no target: no edge"):
         scale_of_target(np.full_like(frame, 90), 1e-4, 20.0, 4.0)

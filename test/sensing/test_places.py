@@ -152,9 +152,9 @@ def test_a_frozen_camera_and_a_size_that_changes_are_named():
     scene, eye = Scene(SceneParameters(**SMALL)), tracker(tracking__frozen_frames=3)
     frame = scene.frame(0.0)
     seen = [eye.see(frame.copy())[1].refusal for _ in range(5)]
-    assert seen[:3] == [""] * 3 and seen[3] == "frozen: 4 frames in a row are bit for bit equal"
+    assert seen[:3] == [""] * 3 and seen[3] == "frozen: 4 frames in a row are identical"
     assert not eye.see(scene.frame(0.0, 1))[1].refusal, "another noise is another frame"
-    assert eye.see(frame[:, :100])[1].refusal == "the frame has 100 x 96 px, the first one had 160 x 96"
+    assert eye.see(frame[:, :100])[1].refusal == "the frame has 100 x 96 px, but the first one had 160 x 96"
     assert not eye.see(scene.frame(0.0, 2))[1].refusal and eye.refused == 3
 
 

@@ -9,12 +9,11 @@
 
 """Controllers of Physik Instrumente with GCS 2.0 over TCP: E-709, E-727, E-754 and similar ones.
 
-This module contains the commands of the protocol, the link and the driver; the emulated controller uses the same
-commands.
+This module contains the commands of the protocol, which the emulated controller uses too, the link and the driver.
 
 Sources: E-727 Digital Multi-Channel Piezo Controller, user manual E727T0005 (2019), sections "GCS commands", "Data
 recorder" and "Wave generator"; C-863 Mercury Controller, user manual MS249E, section "GCS commands" (answers of
-``DRR?`` and ``HPA?``). Commands and answers end with LF. In an answer of several lines, all lines but the last have a
+``DRR?`` and ``HPA?``). Commands and answers end with LF. In an answer of several lines, every line but the last has a
 space before the LF. Commands of one character need no LF.
 """
 
@@ -60,7 +59,7 @@ WAVE_TYPE, WAVE_LENGTH, BUSY = 402, 403, 1005
 
 MEANINGS = {
     NO_ERROR: "no error",
-    SYNTAX: "a parameter is not a number",
+    SYNTAX: "a parameter of the command is not a number",
     UNKNOWN_COMMAND: "the command is not known",
     TOO_LONG: "the command is too long",
     SERVO_OFF: "a move was commanded with the servo off, or for an axis that is not referenced",
@@ -96,9 +95,9 @@ VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM = 0x0B000007, 0x0B000008
 SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004, 0x16000200, 0x16000300
 TOLERANCE, SETTLING = 0x07000900, 0x07000901
 
-#: Parameters of a trigger output (CTO): distance of the positions, axis, mode, first and last position; and the mode
-#: that triggers at equally spaced positions. If the first position is below the last, the output triggers in upward
-#: motion, otherwise in downward motion.
+#: Parameters of a trigger output (CTO): distance of the positions, axis, mode, first and last position. Then the mode
+#: that triggers at equally spaced positions. If the first position is below the last, the output triggers during upward
+#: motion, otherwise during downward motion.
 TRIGGER_STEP, TRIGGER_AXIS, TRIGGER_MODE, START_THRESHOLD, STOP_THRESHOLD = 1, 2, 3, 8, 9
 POSITION_DISTANCE = 0
 
@@ -120,16 +119,17 @@ def meaning(code: int) -> str:
 END, MORE = b"\n", b" \n"
 #: Maximum number of bytes per read.
 CHUNK = 65536
-#: Limits of the length of an answer; a longer answer comes from another kind of device, or from a faulty one.
+#: Maximum length of a line [bytes], and maximum number of lines of an answer; a longer answer is a fault, or comes from
+#: another kind of device.
 LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
 #: Maximum number of bytes of an answer that a message quotes.
 SHOWN = 60
-#: The query of the last error, and the pattern of its answer; no other answer in a sample matches this pattern.
+#: Query of the last error, and pattern of its answer, which no other answer in a sample matches.
 ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
 
 
 def _names(text: str) -> list[str]:
-    """Return the words before an equals sign, with hexadecimal parameter numbers converted to decimal."""
+    """Return the words of a text, with hexadecimal numbers converted to decimal."""
     with contextlib.suppress(ValueError):
         return [str(int(word, 16)) if word[:2].lower() == "0x" else word for word in text.split()]
     return []
@@ -139,9 +139,9 @@ class GcsLink:
     """The connection to a controller: commands, answers and errors.
 
     Answers have no number that assigns them to queries. So no answer may be pending when a query is sent, each answer
-    must match its query, and each exchange ends with the answer to ``ERR?``, which has another form. After a mismatch
-    or a missing answer the link is not used any more: after one extra line, each query would get the answer to the
-    previous query.
+    must match its query, and each exchange contains the answer to ``ERR?``, which has a form of its own. After a
+    mismatch or a missing answer the link is not used any more, because each query would then get the answer to another
+    one.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class GcsLink:
             raise self._gone(f"does not accept {what!r} ({error})") from error
 
     def _require_silence(self, what: str) -> None:
-        """Refuse an unexpected line: it would shift every later answer to another query."""
+        """Refuse an unexpected line, because it would shift every later answer to another query."""
         said = self._rest
         if not said and select.select([self._socket], [], [], 0.0)[0]:
             said = self._receive(what)
@@ -242,9 +242,9 @@ class GcsLink:
         return [line.decode("latin-1").rstrip() for line in lines]
 
     def ask(self, question: str) -> list[str]:
-        """Return the lines of the answer to a query, and check that the answer to ``ERR?`` follows them.
+        """Return the lines of the answer to a query; the answer to ``ERR?`` must follow them.
 
-        DriverError: there is no answer, or a line is missing or unexpected.
+        DriverError: no answer, or a line is missing or unexpected.
         """
         self.send(question, ERROR)
         lines = self._lines(question)
@@ -252,17 +252,17 @@ class GcsLink:
         return lines
 
     def ask_single(self, character: str) -> str:
-        """Return the answer to a command of one character; DriverError: there is no answer."""
+        """Return the answer to a command of one character; DriverError: no answer."""
         name = f"#{ord(character)}"
         self._put(character, name)
         return self._line(name).decode("latin-1").rstrip()
 
     def find(self, question: str, item: str) -> str | None:
-        """Return the value of an item, such as ``2.5`` of item ``1`` from ``1=2.5``; None when the query is refused."""
+        """Return the value of an item, such as ``2.5`` of item ``1`` in ``1=2.5``; None if the query is refused."""
         return self._asked(question, item)[0]
 
     def value(self, question: str, item: str) -> str:
-        """Return the value of an item; raise DriverError when the query is refused or the answer is of another item."""
+        """Return the value of an item; raise DriverError if the query is refused or the answer names another item."""
         text, code = self._asked(question, item)
         if text is None:
             problem = f"does not answer '{question} {item}': {meaning(code)}"
@@ -285,7 +285,7 @@ class GcsLink:
         return right.strip()
 
     def number(self, question: str, item: str) -> float:
-        """Return the value of an item as a number; raise DriverError when it is not a number."""
+        """Return the value of an item as a number; raise DriverError if it is not a number."""
         return self._real(f"{question} {item}", self.value(question, item))
 
     def _real(self, asked: str, text: str) -> float:
@@ -295,11 +295,11 @@ class GcsLink:
             raise self._astray(f"answers {asked!r} with {text!r}, which is not a number") from None
 
     def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
-        """Return the numbers of several items in one exchange, and the code of the last error.
+        """Query several items in one exchange; return their numbers and the code of the last error.
 
         The answer to ``ERR?`` has no equals sign. ``ERR?`` is sent alternately after and before the query of a single
-        item, and both before and after the queries of several items. So neither an extra or missing line nor a repeated
-        answer can shift a number to another item.
+        item, and both before and after the queries of several items. So an extra, missing or repeated line cannot shift
+        a number to another item.
 
         Parameters
         ----------
@@ -309,7 +309,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            There is no answer, or an answer does not match its query.
+            An answer is missing or does not match its query.
         """
         several = len(questions) > 1
         before, behind = several or self._leads, several or not self._leads
@@ -323,7 +323,7 @@ class GcsLink:
         return values, next((code for code in codes if code != NO_ERROR), NO_ERROR)
 
     def table(self, question: str, tables: int) -> tuple[float, np.ndarray]:
-        """Return the sample time [s] and the numbers of an answer that is an array, shape (points, tables).
+        """Return sample time [s] and numbers, shape (points, tables), of an answer that is an array.
 
         Parameters
         ----------
@@ -369,13 +369,13 @@ class GcsLink:
         return int(lines[0])
 
     def require(self, code: int, what: str) -> None:
-        """Raise an error for any code but 0.
+        """Raise an error unless the code is 0.
 
         Parameters
         ----------
         code : int
         what : str
-            Description of the action, for the message.
+            Description of the failed action, for the message.
 
         Raises
         ------
@@ -401,7 +401,7 @@ class GcsLink:
         self.require(self.error(), f"refuses {commands[-1][:40]!r}")
 
     def stop(self) -> None:
-        """Stop all motion and clear the error that the controller reports for the stop.
+        """Stop all motion and clear the error that the controller reports because of the stop.
 
         Raises
         ------
@@ -419,23 +419,23 @@ class GcsLink:
             self._socket.close()
 
 
-#: Number of stored recent voltages; when the output is checked, it may still be at any of these voltages.
+#: Number of stored recent voltages; a check allows any output between the lowest and the highest of them.
 RECENT = 4
 #: Points of a wave per command, and polling interval for the end of the wave [s].
 POINTS, PATIENCE = 40, 0.02
-#: Number of attempts to make a controller safe; all but the first use a new connection.
+#: Number of attempts to make a controller safe; every attempt after the first uses a new connection.
 ATTEMPTS = 3
-#: Largest relative deviation of positions from a grid.
+#: Largest allowed variation of the steps of a grid, relative to the largest position.
 UNEVEN = 1.0e-6
-#: Relative difference between a commanded value and the reported one that rounding in the controller may cause.
+#: Largest relative difference between commanded and reported value that is attributed to rounding in the controller.
 ROUNDING = 1.0e-3
-#: Longest allowed servo cycle, relative to the period of the played voltages.
+#: Limit of a plausible servo cycle, relative to the period of the played voltages.
 LONGEST = 1.0e6
 
 
 @dataclass(frozen=True)
 class GcsParameters(Parameters):
-    """Address of the controller, its axis, and the commanded quantity."""
+    """Address and axis of the controller, and the commanded quantity."""
 
     host: str = parameter("127.0.0.1", description="name or address of the controller", read_only=True)
     port: int = parameter(50000, description="TCP port of the controller", low=1, high=65535, read_only=True)
@@ -529,7 +529,7 @@ class GcsParameters(Parameters):
 
 
 class Played(NamedTuple):
-    """Data that a controller has played and recorded at its own pace, arrays of shape (N,)."""
+    """Data that a controller has played and recorded at its own sample rate, arrays of shape (N,)."""
 
     #: [s]
     time: np.ndarray
@@ -540,7 +540,7 @@ class Played(NamedTuple):
 
 
 class GcsDriver(Driver):
-    """One axis of a controller; after a failure, the next reading connects again."""
+    """One axis of a controller; after a failure, the next read connects again."""
 
     _link: GcsLink | None = None
     _given: GcsParameters
@@ -548,7 +548,7 @@ class GcsDriver(Driver):
     #: Commands that make the controller compare positions, and whether these commands are in effect.
     _comparing: tuple[str, ...] = ()
     _compares = False
-    #: Last state of the trigger input, and number of pulses that were not fetched yet.
+    #: Last state of the trigger input, and number of pulses since the last call of :meth:`pulses`.
     _high = math.nan
     _pulses = 0
 
@@ -567,7 +567,8 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            The controller cannot be reached, is the wrong one, is in motion, busy or in error, or uses other units.
+            The controller cannot be reached, is not the expected one, is in motion, busy or in error, or uses other
+            units.
         """
         self._given = parameters
         link = self._taken(first=True)
@@ -582,19 +583,19 @@ class GcsDriver(Driver):
             return found
         self._require_known(link, "CTO", "TRO")
         cycle = link.number("SPA?", f"{parameters.axis} {SERVO_CYCLE:#x}")
-        # one pulse and one pause in two cycles of the servo
+        # one pulse and one pause take two cycles of the servo
         return replace(found, compares=True, trigger_rate=0.5 / cycle if cycle > 0.0 else 0.0)
 
     def _require_known(self, link: GcsLink, *commands: str) -> None:
         missing = set(commands) - self._commands
         if missing:
-            remedy = "give 0 as gcs.trigger_line_up, trigger_line_down and trigger_input"
+            remedy = "set gcs.trigger_line_up, trigger_line_down and trigger_input to 0"
             raise DriverError(link.name, f"does not know {', '.join(sorted(missing))}", remedy)
 
     # -- taking the controller -----------------------------------------------------------------------------------
 
     def _taken(self, first: bool = False) -> GcsLink:
-        """Return the link to the controller; a new link begins in the safe state."""
+        """Return the link to the controller; a new link brings the controller to its safe state."""
         given = self._given
         if self._link is not None and self._link.broken:
             self._hang_up()
@@ -630,7 +631,7 @@ class GcsDriver(Driver):
         self._check(link, *link.numbers(*self._looks))
 
     def _require_rest(self, link: GcsLink) -> None:
-        """Refuse a controller that is not ready, or moves an axis for another program."""
+        """Refuse a controller that is not ready, in motion, or not referenced."""
         if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
             raise DriverError(link.name, "is busy with another task", "wait until it is ready, or stop that task")
         for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):
@@ -641,7 +642,7 @@ class GcsDriver(Driver):
             raise DriverError(link.name, f"has not referenced axis {self._given.axis}", "reference it first (FRF)")
 
     def _unit_of(self, link: GcsLink) -> float:
-        """Return the metres per unit of the positions."""
+        """Return the size of the position unit [m]."""
         given, said = self._given, ""
         if "PUN?" in self._commands:
             said = link.value("PUN?", given.axis)
@@ -678,13 +679,13 @@ class GcsDriver(Driver):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def read(self) -> Reading:
-        """Read the position and the last error, and at intervals check servo and voltage.
+        """Read position and last error; every ``check_period`` also check servo and voltage.
 
         Raises
         ------
         DriverError
-            The answer does not match the query, the controller has an error, or another program has switched its servo
-            or commands its voltage.
+            The answer does not match the query, the controller has an error, or another program has switched the servo
+            or commands the voltage.
         """
         link, given = self._taken(), self._given
         due = time.monotonic() - self._checked >= given.check_period
@@ -731,7 +732,7 @@ class GcsDriver(Driver):
         self._checked = time.monotonic()
 
     def write(self, voltages: Sequence[float]) -> None:
-        """Send the voltage, or the corresponding target.
+        """Send the voltage (open loop) or the corresponding target (servo).
 
         Parameters
         ----------
@@ -751,7 +752,7 @@ class GcsDriver(Driver):
         self._recent.append(voltages[0])
 
     def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
-        """Let the controller trigger at equally spaced positions, one line for each direction of motion.
+        """Let the controller trigger at equally spaced positions, with one digital line for each direction of motion.
 
         Parameters
         ----------
@@ -761,7 +762,7 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            The positions are not a grid, or a line is missing.
+            The positions are not equally spaced, or a digital line is missing.
         """
         given, name = self._given, self._taken().name
         commands = []
@@ -772,12 +773,12 @@ class GcsDriver(Driver):
             if not len(positions):
                 continue
             if not line:
-                problem = f"has to trigger during motion {way}, but gcs.trigger_line_{way} is 0"
-                raise DriverError(name, problem, "give its digital output, or another triggers.direction")
+                problem = f"must trigger during motion {way}, but gcs.trigger_line_{way} is 0"
+                raise DriverError(name, problem, "give the digital output, or choose another triggers.direction")
             places = np.array(positions) / self._unit
             steps = np.diff(places)
             if not places.size > 1 or np.ptp(steps) > UNEVEN * np.max(np.abs(places)):
-                problem = "compares equally spaced positions, two or more"
+                problem = "compares only equally spaced positions, at least two"
                 raise DriverError(name, problem, "give a grid: triggers.start, step and stop")
             step = float(np.mean(steps))
             first, last = (places[0], places[-1]) if sign > 0.0 else (places[-1], places[0])
@@ -798,21 +799,22 @@ class GcsDriver(Driver):
         return f"{name} {self._given.axis} {self._value(voltage):.9f}"
 
     def _value(self, voltage: float) -> float:
-        """Return the commanded value for a voltage."""
+        """Return the value to command for a voltage, in the controller's unit."""
         given = self._given
         return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
 
-    # -- at the pace of the controller ----------------------------------------------------------------------------
+    # -- at the sample rate of the controller
+    # ----------------------------------------------------------------------------
 
     def play(self, voltages: Sequence[float], period: float) -> Played:
-        """Play voltages by the wave generator and record the response, at the controller's pace.
+        """Play voltages with the wave generator and record the response, at the controller's own sample rate.
 
         Parameters
         ----------
         voltages : sequence of float
             [V]; with the servo on, they represent the targets of the servo.
         period : float
-            Time between two voltages [s], rounded to samples of the controller.
+            Time between two voltages [s], rounded to servo cycles of the controller.
 
         Returns
         -------
@@ -860,12 +862,12 @@ class GcsDriver(Driver):
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop all motion, then go to the safe voltage or the corresponding target; on a new link if necessary.
+        """Stop all motion, then go to the safe voltage or the corresponding target; use a new link if necessary.
 
         Raises
         ------
         DriverError
-            The controller does not answer or refuses at every attempt.
+            The controller did not answer, or refused a command, in every attempt.
         """
         for attempt in range(ATTEMPTS):
             try:
@@ -903,12 +905,12 @@ class GcsDriver(Driver):
         self._require_there(link, "SVA?", safe)
 
     def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
-        """Check that the controller reports the safe value, because an accepted command is not sufficient."""
+        """Check that the controller reports the safe value; an accepted command alone is not sufficient."""
         value = self._value(safe)
         given = link.number(question, self._given.axis)
         if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):
             problem = f"reports {given:g} for {question!r}, but {value:g} was commanded to make it safe"
-            raise DriverError(link.name, problem, "end other programs that command it, check its limits")
+            raise DriverError(link.name, problem, "end other programs that command it, and check its limits")
 
     @property
     def last_output(self) -> float | None:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Converters of the Linux subsystem *industrial I/O*, through sysfs: a DAC to the amplifier, an ADC from the sensor.
+"""Converters of the Linux subsystem *industrial I/O*, through sysfs: DAC before the amplifier, ADC after the sensor.
 
 The voltage of a channel in mV is ``(raw + offset) · scale``; scale and offset are in files of the channel or of all
 channels of its direction (kernel documentation, ABI/testing/sysfs-bus-iio).
@@ -35,15 +35,15 @@ from hysteresis_ros.hardware.driver import (
 )
 from hysteresis_ros.registry import later
 
-#: Volts per unit of scale.
+#: Volts per millivolt, the unit of ``scale``.
 MILLIVOLT = 1.0e-3
-#: Largest plausible raw value, scale or offset; the smallest plausible value is the reciprocal.
+#: Largest plausible magnitude of a raw value, scale or offset; the smallest one above 0 is the reciprocal.
 LARGEST = 1.0e20
 CHANNEL = re.compile(r"(alt)?voltage\d*")
 
 
 def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
-    """Return the folder of a device in the folder of the devices.
+    """Return the folder of a device below ``directory``.
 
     ``wanted`` is the content of the device's file ``name``, or the name of its folder. DriverError: the device is
     absent, or several devices have this name.
@@ -65,7 +65,7 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
 
 
 def trigger_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
-    """Return the file that fires a software trigger, in the folder of the devices.
+    """Return the file that fires a software trigger, below ``directory``.
 
     ``wanted`` is the content of the trigger's file ``name``, or the name of its folder. DriverError: the trigger is
     absent, or it cannot be fired by software.
@@ -133,7 +133,8 @@ class Channel:
     def attribute(self, name: str) -> str | None:
         """Return an attribute of the channel, or of all channels of its direction and kind; None if it does not exist.
 
-        Only the first line is read, because an ordinary file may still contain the end of an older, longer text.
+        Only the first line is read, because an ordinary file (of the emulator) may still contain the end of an older,
+        longer text.
 
         Parameters
         ----------
@@ -190,7 +191,7 @@ class Channel:
         return (raw + self.offset) * self.volts
 
     def put_out(self, voltage: float) -> None:
-        """Output a voltage, rounded to the converter's grid.
+        """Output a voltage, rounded to the converter's quantisation step.
 
         Parameters
         ----------
@@ -220,7 +221,7 @@ class Channel:
         write_number(path, value, self.name)
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
-        """Return the least and greatest voltage [V], from the range of raw numbers in the device or the parameter file.
+        """Return the voltage range [V], from the range of raw numbers that the device or the parameter file states.
 
         Parameters
         ----------
@@ -254,7 +255,7 @@ class Channel:
 
 
 def _believed(text: str) -> float:
-    """Return the number in a text; raise ValueError when it is not a number or not plausible."""
+    """Return the number in a text; raise ValueError if it is not a number or not plausible."""
     value = float(text)
     if not abs(value) <= LARGEST or 0.0 < abs(value) < 1.0 / LARGEST:
         raise ValueError(text)
@@ -263,7 +264,7 @@ def _believed(text: str) -> float:
 
 @dataclass(frozen=True)
 class IioParameters(Parameters):
-    """The converters to use; ``calibration`` gives the scale of their volts."""
+    """The converters of an axis; ``calibration`` converts the volts of the ADC to displacements."""
 
     directory: str = parameter(
         "/sys/bus/iio/devices", description="folder of the devices", read_only=True, place="files"
@@ -310,7 +311,7 @@ class IioParameters(Parameters):
 
 
 class IioDriver(Driver):
-    """A DAC and an ADC; after a failure, the next reading searches for them again."""
+    """A DAC and an ADC; after a failure, the next read searches for them again."""
 
     _given: IioParameters
     _claimed: int | None = None
@@ -329,7 +330,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            A device is absent, is the wrong one, is in use, or lacks its scale or range.
+            A device is absent, ambiguous or in use, or has no scale or range.
         """
         self._given = parameters
         output = self._taken()
@@ -359,7 +360,7 @@ class IioDriver(Driver):
             write_number(self._trigger, 1, f"IIO trigger {self._trigger.parent.name}")
 
     def _taken(self) -> Channel:
-        """Return the channel of the DAC; if it is not locked yet, lock it and bring it to its safe voltage."""
+        """Return the channel of the DAC; if it is not locked yet, lock it and bring the DAC to its safe voltage."""
         if self._output is None:
             given = self._given
             directory = pathlib.Path(given.directory)
@@ -409,7 +410,7 @@ class IioDriver(Driver):
         self._taken().put_out(voltages[0])
 
     def make_safe(self) -> None:
-        """Bring the DAC to its safe voltage, then switch its output on if it was off.
+        """Bring the DAC to its safe voltage, then switch the output on if it was off.
 
         Raises
         ------

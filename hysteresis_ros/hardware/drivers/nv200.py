@@ -38,9 +38,9 @@ from hysteresis_ros.hardware.driver import (
 )
 from hysteresis_ros.registry import later
 
-#: Metres per unit of the sensor, with both characters in use for micro.
+#: Metres per unit of the sensor; both characters for micro are in use.
 UNITS = {"µm": 1.0e-6, "μm": 1.0e-6, "um": 1.0e-6, "nm": 1.0e-9, "mm": 1.0e-3}
-#: Bits of the status register and their meanings when set.
+#: Bits of the status register, and the meaning of a set bit.
 CONNECTED, CLOSED = 1 << 0, 1 << 3
 FAULTS = {1 << 10: "it is too hot", 1 << 11: "the actuator has an error", 1 << 12: "its hardware has an error"}
 #: Time-out of the connection [s].
@@ -86,7 +86,7 @@ class Nv200Parameters(Parameters):
 
 
 class Nv200Driver(Driver):
-    """One amplifier in open loop; after a failure, the next reading connects again."""
+    """One amplifier in open loop; after a failure, the next read connects again."""
 
     _given: Nv200Parameters
     _loop: asyncio.AbstractEventLoop | None = None
@@ -105,7 +105,8 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            The amplifier cannot be reached, is the wrong one, is in error, has no sensor, or uses other units.
+            The amplifier cannot be reached, has another actuator than expected or no sensor, is in error, or uses other
+            units.
         """
         self._given = parameters
         self._name = f"NV200 at {f'{parameters.host}:{parameters.port}' if parameters.host else parameters.serial_port}"
@@ -148,7 +149,7 @@ class Nv200Driver(Driver):
     # -- taking the amplifier ------------------------------------------------------------------------------------
 
     def _taken(self) -> Any:
-        """Return the device; connect it and bring it to its safe state if necessary."""
+        """Return the device; if it is not connected, connect it and bring it to its safe state."""
         if self._device is None:
             given = self._given
             if given.serial_port:
@@ -172,7 +173,7 @@ class Nv200Driver(Driver):
         given = self._given
         link = TelnetProtocol(given.host, given.port) if given.host else SerialProtocol(given.serial_port)
         device = NV200Device(link)
-        device.CMD_CACHE_ENABLED = False  # read from the device, not from a cache
+        device.CMD_CACHE_ENABLED = False  # read from the device instead of a cache
         return device
 
     def _suits(self, device: Any) -> None:
@@ -183,7 +184,7 @@ class Nv200Driver(Driver):
             problem = f"has the actuator {actuator!r}, which does not contain nv200.actuator = {given.actuator!r}"
             raise DriverError(self._name, problem, "connect the right actuator, or correct nv200.actuator")
         if not self._wait("is asked for its sensor", device.has_position_sensor):
-            raise DriverError(self._name, "has an actuator without a sensor", "use one with a sensor")
+            raise DriverError(self._name, "has an actuator without a sensor", "use an actuator with a sensor")
         units = (
             self._wait("is asked for its position unit", device.get_position_unit),
             self._wait("is asked for its voltage unit", device.get_voltage_unit),
@@ -201,7 +202,7 @@ class Nv200Driver(Driver):
             raise DriverError(self._name, problem, "choose a safe voltage within this range")
 
     def _check(self) -> None:
-        """Refuse a device that is in error, or whose settings were changed."""
+        """Refuse a device in error, without an actuator, or with its loop closed by another program."""
         status = self._wait("is asked for its status", lambda: self._device.read_int_value("stat"))
         found = [text for bit, text in FAULTS.items() if status & bit]
         found += [] if status & CONNECTED else ["no actuator is connected"]
@@ -215,14 +216,14 @@ class Nv200Driver(Driver):
 
     def _put_out(self, voltage: float) -> None:
         answer = self._wait("is sent a voltage", lambda: self._device.write(f"set,{voltage:.3f}"))
-        if answer is None:  # the package ignores a missing answer
+        if answer is None:  # the package returns None for a missing answer
             raise self._failed("does not answer when a voltage is sent")
 
     def _measure(self) -> float:
         return self._unit * self._wait("measures", self._device.get_current_position)
 
     def read(self) -> Reading:
-        """Read the position, and at intervals the status.
+        """Read the position and, every ``check_period``, the status.
 
         Raises
         ------

@@ -9,7 +9,7 @@
 
 """The simulated actuator as a driver, with the parameters of ``plant_simulator``.
 
-It has the same model as the plant without a driver. Requirements on every driver can be tested with it.
+The model is that of the plant without a driver. The driver serves to test what every driver must do.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 
 
 class SimulatedDriver(Driver):
-    """An actuator that moves by one sample at each :meth:`write`."""
+    """An actuator that advances by one sample at each :meth:`write`."""
 
     def open(self, parameters: ActuatorParameters, sample_rate: float) -> Capabilities:
         """Create the actuator at rest.
@@ -35,7 +35,7 @@ class SimulatedDriver(Driver):
             [Hz]
         """
         self._actuator = Actuator(parameters, 1.0 / sample_rate)
-        self._actuator.advance(self._actuator.measure())  # compiles now instead of at the first sample
+        self._actuator.advance(self._actuator.measure())  # compile now instead of in the first sample
         self._actuator.reset()
         self._rest = self._actuator.voltage
         limits = parameters.limits
@@ -48,7 +48,7 @@ class SimulatedDriver(Driver):
         return Reading((self._actuator.measure(),), forces)
 
     def write(self, voltages: Sequence[float]) -> None:
-        """Hold the voltage for a sample.
+        """Advance by one sample with this voltage.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class SimulatedDriver(Driver):
         self._actuator.advance(self._rest)
 
     def close(self) -> None:
-        """Do nothing: there is nothing to release."""
+        """Do nothing, because nothing is to be released."""
 
 
 @contextlib.contextmanager
