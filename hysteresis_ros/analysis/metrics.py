@@ -564,7 +564,7 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
     flags = recording["saturated"] if recording.has("saturated") else np.zeros(0)
     flags = flags[np.isfinite(flags)]
     if not len(flags):
-        notes["saturated_percent"] = "the recording has no signal 'saturated' of the compensator"
+        notes["saturated_percent"] = "the recording does not contain the compensator's signal 'saturated'"
         return None
     return 100.0 * float(np.mean(flags > 0.0))
 

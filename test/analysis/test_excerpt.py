@@ -104,7 +104,7 @@ def test_what_has_no_last_periods_is_refused():
         last_periods(scan(), 5)
     time = np.arange(1000) / RATE
     sweep = Recording.from_columns({"time": time, "reference": np.sin(40 * time**2), "displacement": time})
-    with pytest.raises(RecordingError, match="does not repeat"):
+    with pytest.raises(RecordingError, match="is not periodic"):
         last_periods(sweep, 1)
 
 

@@ -204,7 +204,7 @@ def test_a_table_that_ends_in_a_shutdown_shows_it_in_its_voltage():
     assert 995 <= begins <= 1001 and stopped(recording)[begins:].all()
     figures = compute_metrics(recording)
     assert figures["parts"][-1]["part"] == "shutdown" and figures["max_error_m"] < 0.1e-6
-    assert "not recorded, but its voltage left a settled hold" in " ".join(figures["notes"]["recording"])
+    assert "inferred: the voltage left a settled hold" in " ".join(figures["notes"]["recording"])
 
 
 @pytest.mark.parametrize(

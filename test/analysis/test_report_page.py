@@ -232,7 +232,7 @@ def test_trace_and_retrace_are_told_apart():
     trace, retrace = chart.lines
     assert trace.label.startswith("trace") and np.median(trace.y) == pytest.approx(10.0)
     assert retrace.label.startswith("retrace") and np.median(retrace.y) == pytest.approx(-10.0)
-    assert all(np.all(np.diff(line.x) >= 0.0) for line in chart.lines) and "20 nm at most" in chart.note
+    assert all(np.all(np.diff(line.x) >= 0.0) for line in chart.lines) and "at most 20 nm" in chart.note
     periods = run_charts.last_periods_chart(run)
     assert [line.label for line in periods.lines] == ["third to last", "second to last", "last"]
     assert periods.up == "error [nm]" and all(line.x[-1] < 200.0 for line in periods.lines)

@@ -153,7 +153,7 @@ def test_a_run_that_begins_at_rest_is_judged_from_the_first_whole_period_of_its_
         error = (run[f"{name}/reference"] - run[f"{name}/measured"]).reshape(4, period)[2:]
         np.testing.assert_allclose(found.error[place], error.mean(axis=0), atol=1e-9)
     short = simulate_stage(parameters, duration=3.0 * parameters.scan.period)
-    with pytest.raises(RecordingError, match="is not the scan of the configuration"):
+    with pytest.raises(RecordingError, match="differs from the configured scan"):
         trial(parameters, short, np.zeros((2, period)))
 
 
@@ -188,7 +188,7 @@ def test_periods_of_a_run_count_from_where_every_axis_follows_its_scan(late):
         (resting, run(6, away | {late: [0, 1, 4]})),
     )
     for given, short in refused:
-        with pytest.raises(RecordingError, match=f"{late}/reference is not the scan of the configuration"):
+        with pytest.raises(RecordingError, match=f"{late}/reference differs from the configured scan"):
             trial(given, short, none)
 
 
@@ -239,7 +239,7 @@ def test_what_cannot_be_learned_together_is_said(tmp_path):
         learning.chosen(np.full_like(learning.paths, 1e-3), {})
     other = stage("lissajous", ("width=16um", "depth=8um", "lines=5", "frame_rate=16Hz"))
     run = simulate_stage(other, duration=4.0 * other.scan.period)
-    with pytest.raises(RecordingError, match="is not the scan of the configuration"):
+    with pytest.raises(RecordingError, match="differs from the configured scan"):
         trial(parameters, run, np.zeros_like(learning.paths))
     with pytest.raises(ConfigurationError, match=r"--bandwidth 9000: must be 8 … 5000 Hz"):
         CoupledLearning.of(parameters, LearningRequest("coupled", bandwidth=9000.0))

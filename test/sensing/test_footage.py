@@ -152,7 +152,7 @@ def test_a_known_motion_gives_its_scale_sign_and_offset_back(scale, sign, offset
     ("pixels", "displacements", "words"),
     [
         ([1.0, 2.0, 3.0], [1e-6, 2e-6], "2 known displacements for 3 frames"),
-        ([1.0, math.nan, 3.0], [1e-6, 2e-6, 3e-6], "2 frames show a position .*: 3 are needed"),
+        ([1.0, math.nan, 3.0], [1e-6, 2e-6, 3e-6], "2 frames have a position .*; 3 are needed"),
         ([1.0, 2.0, 1.5, 1.2], [1e-6, 1.1e-6, 3e-6, 0.0], "do not follow the known displacements"),
         ([1.0, 1.0, 1.0], [1e-6, 2e-6, 3e-6], "do not follow the known displacements"),
         ([1.0, 2.0, 3.0], [1e-6, 1e-6, 1e-6], "do not follow the known displacements"),
