@@ -205,7 +205,7 @@ def _adjusted_together(
     slower = f"the controller around the damping {kind} is slower" if kinds else "the controller is slower"
     ways = [(request, resonance, slower)]
     if request.damping not in (None, NONE):
-        # first weaker dampings, then no damping, because then the law cancels resonances whose frequency is uncertain
+        # weaker dampings first; no damping last, because the law then cancels resonances whose frequency is uncertain
         ways += [
             (replace(request, damping_peak=peak), resonance, f"the damping {kind} is weaker, its M_s at most {peak:g}")
             for peak in PEAKS

@@ -20,7 +20,7 @@ harmonic from the model and from all runs:
 - *Each run* is a measurement of c - T M_j. The noise of this measurement is known from the differences between the
   periods of the run. A linear minimum-variance estimate combines both sources (a Kalman filter with a constant state).
 
-The corrections of the next run minimise the expected squared error of this run,
+The corrections of the next run minimise the expected squared error of that run,
 
     E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c].
 
@@ -309,7 +309,7 @@ class CoupledLearning:
         period = paths.shape[1]
         if period > LONGEST:
             raise ConfigurationError(
-                f"the scan repeats after {period} samples, but learning allows {LONGEST}; choose a shorter frame"
+                f"the scan repeats after {period} samples, but learning allows at most {LONGEST}; choose shorter frames"
             )
         highest = HIGHEST * rate if request.bandwidth is None else request.bandwidth
         if not 1.0 <= highest * period / rate < 0.5 * period:

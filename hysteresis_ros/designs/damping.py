@@ -11,7 +11,7 @@
 
 For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
 of ``pid``. The largest gain g of the PID follows in closed form on a grid of frequencies: if X is the loop for g = 1,
-|1 + g X| ≥ 1/M_s is a quadratic inequality in g at each frequency. A filter counts by its worst result on several
+|1 + g X| ≥ 1/M_s is a quadratic inequality in g at each frequency. A filter is rated by its worst result on several
 plants: the model, and plants with lower and higher resonances. The inner loop alone, and the loop with both feedbacks,
 cut at the plant, must also have M_s ≤ 2; the latter should tolerate one more sample of delay. Filters are tried on a
 grid that is refined around the best filter; the result has four digits.
@@ -232,7 +232,7 @@ class _Search:
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that tolerates the additional delay ``late`` [samples]; None if none does."""
+        """Return the best damping that tolerates the additional delay ``late`` [samples]; None if no damping does."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)

@@ -190,7 +190,8 @@ class _Plant:
     structure: StructureParameters
     delay: int  #: Delay of each actuator in whole samples.
     gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs for small motions [m/V].
-    hysteresis: tuple[workflow.Identified | None, ...]  #: For each actuator; None: no hysteresis here.
+    #: For each actuator; None: the actuator is proportional, or (type internal) its hysteresis is in the structure.
+    hysteresis: tuple[workflow.Identified | None, ...]
     small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 

@@ -267,7 +267,7 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Attempt to make the device safe, in the background, until an attempt succeeds; other calls wait for its end.
+        """Attempt to make the device safe, in the background, until it is safe; other calls wait for a running attempt.
 
         Parameters
         ----------

@@ -327,7 +327,7 @@ class HardwareDriver:
         Class of the driver; its constructor has no arguments.
     emulator : callable, optional
         ``emulator()`` returns a context manager that emulates the device and yields the parameters for opening it. The
-        contract test and other tests without the device need it. Only a library that is given by its path has none.
+        contract test and other tests without the device need it. Only a library at a path has no emulator.
         :func:`hysteresis_ros.registry.later` imports the emulator's module only when it is called.
     device : EmulatedDevice or str, optional
         The emulated device in a separate process, or the path ``package.module:DEVICE`` of its declaration.

@@ -803,8 +803,7 @@ class GcsDriver(Driver):
         given = self._given
         return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
 
-    # -- at the sample rate of the controller
-    # ----------------------------------------------------------------------------
+    # -- at the sample rate of the controller --------------------------------------------------------------------
 
     def play(self, voltages: Sequence[float], period: float) -> Played:
         """Play voltages with the wave generator and record the response, at the controller's own sample rate.
