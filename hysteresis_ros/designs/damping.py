@@ -19,7 +19,7 @@ grid that is refined around the best filter; the result has four digits.
 References
 ----------
 .. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (ranks a damping by the integral gain
-that the damped plant permits).
+   that the damped plant permits).
 """
 
 from __future__ import annotations
