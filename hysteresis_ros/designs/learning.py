@@ -377,7 +377,7 @@ def knocked(loop: Response) -> int:
 
 def waveform_period(axis: AxisParameters) -> float:
     """Return the period of the configured waveform [s]."""
-    missing = "--period is missing, because {} has no period; give the period of the reference [s]"
+    missing = "--period is missing: {} has no period; give the period of the reference [s]"
     waveform = axis.require_generator(missing.format("a sequencer")).waveform
     if waveform.type not in PERIODIC or not waveform.frequency > 0.0:
         raise ConfigurationError(missing.format(f"waveform.type {waveform.type}"))

@@ -312,7 +312,7 @@ def test_the_page_has_the_units_of_the_recording(tmp_path):
     write_identification_report(tmp_path / "page.html", found)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "The recording, before any fit" in page and "µm" not in page and "the output rises with the input" in page
-    assert "residual over the current" in page and "RMS error of the current from the inverse" in page
+    assert "residual versus the current" in page and "RMS error of the current from the inverse" in page
     assert not any("voltage" in warning for warning in found.warnings)
 
 
