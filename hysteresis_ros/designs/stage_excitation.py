@@ -143,7 +143,7 @@ def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.
     largest = 0.5 / SMALL
     if not 0.0 < asked.amplitude <= largest:
         raise ConfigurationError(
-            f"amplitude {asked.amplitude:g}: must be above 0 and at most {largest:g} for multisine"
+            f"--amplitude {asked.amplitude:g}: must be above 0 and at most {largest:g} for multisine"
         )
     spacing = asked.frequency or rate / PERIOD
     N = round(rate / spacing)

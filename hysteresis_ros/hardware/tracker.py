@@ -271,8 +271,8 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
 
 #: Highest fitted frequency, and frequency above which the content counts as fine details [1/px].
 HIGHEST, FINE = 0.2, 0.08
-#: Largest remainder after the shift by whole pixels [px], and maximum number of searches for that shift.
-REST, PATTERN_LOOKS = 0.6, 6
+#: Maximum number of searches for the shift by whole pixels.
+PATTERN_LOOKS = 6
 #: A frame with less than this fraction of the fine details of the first frame counts as blurred.
 LEAST_DETAIL = 0.3
 
@@ -405,7 +405,7 @@ class TrackingParameters(Parameters):
         5,
         low=0,
         high=10**9,
-        description="number of bit-for-bit equal frames after which the camera counts as frozen; 0: not checked",
+        description="number of exact repetitions of a frame after which the camera counts as frozen; 0: not checked",
     )
 
     def check(self):

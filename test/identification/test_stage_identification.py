@@ -779,7 +779,7 @@ def test_excitations_that_a_stage_cannot_play_are_refused(truth):
     for asked, words in (
         (StageExcitation(realisations=1), "--realisations 1: must be at least 2, one for each of the axes x, y"),
         (StageExcitation("decaying", one_by_one=True), "belong to the recipe multisine"),
-        (StageExcitation(amplitude=6.0), "amplitude 6: must be above 0 and at most 5"),
+        (StageExcitation(amplitude=6.0), "--amplitude 6: must be above 0 and at most 5"),
         (StageExcitation(frequency=2000.0), "must be at most 312.5 Hz"),
     ):
         with pytest.raises(ConfigurationError, match=words):

@@ -473,7 +473,7 @@ class GcsParameters(Parameters):
     )
     voltage_range: tuple[float, ...] = parameter(
         (),
-        description="open_loop: least and greatest voltage, for a controller that does not report them",
+        description="open_loop: least and greatest voltage, for a controller without the commands VMI? and VMA?",
         unit="V",
         read_only=True,
     )

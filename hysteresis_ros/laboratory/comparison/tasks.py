@@ -65,7 +65,7 @@ class Conditions:
         """Refuse impossible conditions."""
         allowed = {
             "mismatch": (0.0 <= self.mismatch <= 0.5, "must be within 0 … 0.5"),
-            "noise": (0.0 <= self.noise < 1.0, "must be a noise in metres, 0 or more"),
+            "noise": (0.0 <= self.noise < 1.0, "must be within 0 … 1 m, 1 excluded"),
             "bits": (0 <= self.bits <= 32, "must be within 0 … 32 (0: unlimited)"),
             "draws": (0 <= self.draws <= 10000, "must be within 0 … 10000 (0: none)"),
             "others": (0 <= self.others <= 1000, "must be within 0 … 1000 (0: none)"),
