@@ -11,8 +11,9 @@
 
 Start with :mod:`.parameters`, then :mod:`.tick`. An axis has four parts: source, plant, controller and compensator;
 each is a module of that name. :mod:`.watch` defines how a part reacts to missing input, and :mod:`.faults` defines
-faults that replace an input. :mod:`.plant` counts late voltages and trips; :mod:`.quiet` holds the command constant,
-:mod:`.ready` predicts when a move is ready, :mod:`.device` runs a driver in the loop. :mod:`.axis` runs the parts from
-Python, and :mod:`.fused` runs them in one thread. :mod:`.simulation` runs them offline, and compares a recording with
-the offline run (``hysteresis verify``). :mod:`.stage` runs the axes of a coupled stage together.
+faults that replace an input. :mod:`.plant` counts late voltages and stops the axis when there are too many;
+:mod:`.quiet` holds the command constant; :mod:`.ready` predicts when a move is ready; :mod:`.device` runs a driver in
+the loop. :mod:`.axis` runs the parts from Python, :mod:`.fused` runs them in one thread, and :mod:`.simulation` runs
+them offline and compares a recording with the offline run (``hysteresis verify``). :mod:`.stage` runs the axes of a
+coupled stage together.
 """

@@ -37,7 +37,7 @@ def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:
     return np.rint(np.arange(first, first + count) * 1e9 / sample_rate) / 1e9
 
 
-#: Order of the steps of a sample after which a change may take effect.
+#: Steps of a sample after which a change may take effect, in their order.
 STEPS = {BEFORE: 0, MEASURED: 1, ANSWERED: 2}
 
 
@@ -54,7 +54,7 @@ class Change(NamedTuple):
     #: ``quiet``: ``duration`` [s], and ``tolerance`` [m] if the drift is limited.
     parameters: dict = {}
     #: Step of the sample after which the change takes effect: ``measured`` for the plant, ``answered`` for a controller
-    #: that has not yet received the achieved command; empty: the change precedes all steps of the sample.
+    #: that has not yet received the achieved command; empty: before all steps of the sample.
     after: str = BEFORE
 
 
@@ -173,7 +173,7 @@ class Axis:
         return {"time": sample_times(begin, count, self.sample_rate), **named}
 
     def _run(self, columns: np.ndarray, what: int = WHOLE, row: np.ndarray | None = None) -> None:
-        """Compute the samples of ``columns``, which already contain the inputs."""
+        """Compute one sample for each column; ``columns`` already contain the inputs."""
         if not columns.shape[1]:
             return
         whole = np.ascontiguousarray(columns)

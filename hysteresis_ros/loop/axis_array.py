@@ -44,11 +44,11 @@ KEPT = (
     *("reference", "command", "voltage", "displacement", "measured"),
     *("saturated", "tripped", "plant_voltage", "plant_mode"),
 )
-#: Arrays longer than this are stored at the end of an axis' row, because most of their memory is never accessed.
+#: Arrays with more numbers than this are stored at the end of an axis' row, because most of their memory is not used.
 LONG = 512
-#: Alignment of the rows [numbers]: two axes never share a cache line.
+#: Alignment of the rows [numbers], so that two axes never share a cache line.
 LINE = 8
-#: Node of each field of :class:`.Parts`; below, the indices of its kernels in :class:`.Laws`.
+#: Node of each field of :class:`.Parts` (``NODES``), and the indices of its kernels in :class:`.Laws` (``OF_PART``).
 NODES = {
     "plant": "plant_simulator",
     "source": "reference_generator",
@@ -61,8 +61,8 @@ OF_PART = {"plant": slice(0, 3), "source": slice(3, 4), "controller": slice(4, 5
 def ticks_of_all(stored, stride, first, rows, setpoints, kept, found):
     """Compute ``setpoints.shape[1]`` samples of each axis; all states and rows are updated in place.
 
-    ``stored`` has the kernels, and the arrays of axis 0; the arrays of axis i begin ``stride`` · i numbers later. The
-    first entry of ``rows``, ``setpoints`` and ``found`` belongs to axis ``first``. The signals with the indices
+    ``stored`` contains the kernels and the arrays of axis 0; the arrays of axis i begin ``stride`` · i numbers later.
+    The first entry of ``rows``, ``setpoints`` and ``found`` belongs to axis ``first``. The signals with the indices
     ``kept`` are copied into ``found``.
     """
     laws, parts = contents(stored)
@@ -152,7 +152,7 @@ class ArrayRun:  # numpydoc ignore=PR02
 
 
 class AxisArray:
-    """Independent axes of one structure, advanced together by one compiled call; create it with :func:`.axis_array`.
+    """Independent axes of the same structure, which one compiled call advances; create it with :func:`.axis_array`.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ class AxisArray:
         if strange:
             names = ", ".join(node for part, node in NODES.items() if part in strange)
             raise ConfigurationError(
-                f"axis {number}: {names}: the structure differs from that of axis 0 (a type, an order, an array "
+                f"axis {number}: {names}: the structure differs from that of axis 0 (its type, order or array "
                 "length); only values may differ between the axes of an array"
             )
 
@@ -240,7 +240,7 @@ class AxisArray:
 
     @property
     def setpoint_range(self) -> np.ndarray:
-        """The least and the largest setpoint that every axis accepts [m], shape (n, 2)."""
+        """Smallest and largest setpoint that each axis accepts [m], shape (n, 2)."""
         names = [path for path, _ in _leaves(self._axis.parts)]
         first = self.places[names.index("source.p.approach")]
         return self.memory.reshape(len(self), self.stride)[:, [first + LOW, first + HIGH]]
@@ -305,7 +305,7 @@ class AxisArray:
         if setpoints is None:
             count = self._axis.default_samples() if samples is None else samples
             if count < 1:
-                raise ConfigurationError("the axes have no end (samples: 0, endless waveform): give their duration")
+                raise ConfigurationError("the run has no end (samples: 0, endless waveform): give its duration")
             given = np.repeat(self.initial_setpoints[:, None], count, axis=1)
         else:
             given = _numbers(setpoints)
@@ -373,7 +373,7 @@ class ArrayNodeParameters(NodeParameters):
         unit="B",
         low=0,
         high=10**15,
-        description="free space on the disk below which the recording ends, but not the axes",
+        description="free space on the disk below which the recording ends; the axes continue",
     )
 
     def check(self):
@@ -382,11 +382,11 @@ class ArrayNodeParameters(NodeParameters):
         if self.time_mode == "fused":
             yield Problem("time_mode", self.time_mode, "must be lockstep or realtime: an array is one node already")
         if self.wait_for_setpoints and self.time_mode != "lockstep":
-            yield Problem("wait_for_setpoints", True, f"needs time_mode: lockstep, and it is {self.time_mode}")
+            yield Problem("wait_for_setpoints", True, f"needs time_mode: lockstep, not {self.time_mode}")
 
 
 def whole_number(name: str, value, most: int) -> int:
-    """Return a whole number within 1 … ``most``; for everything else raise a ParameterError that contains ``name``."""
+    """Return a whole number within 1 … ``most``; for any other value raise a ParameterError that names ``name``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
         raise ParameterError([Problem(name, value, f"must be a whole number within 1 … {most}")])
     return int(value)
@@ -437,7 +437,7 @@ def _column(parameters: AxisParameters, count: int, target: str, values) -> list
 
 
 def _axis_of(parameters: AxisParameters, number: int, before: Axis | None = None) -> Axis:
-    """Return a single axis; if only the plants differ, it shares all other parts with ``before``."""
+    """Return one axis; if only its plant differs from that of ``before``, it shares all other parts with ``before``."""
     plant = parameters.plant_simulator
     if plant.type != "actuator":
         raise ConfigurationError(
@@ -467,7 +467,7 @@ def _address(array: np.ndarray) -> int:
 
 
 def _places(parts: Parts) -> tuple[list[int], int]:
-    """Return the index at which each array begins in the row of its axis, and the length of the row.
+    """Return the index in the row of an axis at which each array begins, and the length of the row.
 
     Arrays that share memory continue to share it.
     """

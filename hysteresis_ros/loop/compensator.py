@@ -75,13 +75,13 @@ class AdaptiveArrays(NamedTuple):
 _ADAPTED_HEADER = """\
 # The adapted model of a hysteresis_compensator, written by ~/save. SI units. Give it in addition to the parameter file
 # of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a second --params-file of ros2 run. The
-# weights include adaptation.factors: weight / factor is the identified weight.
+# weights include adaptation.factors: identified weight = weight / factor.
 """
 
 # Own parameters.
 SAFE_VOLTAGE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
-TOLERANCE = 2  # largest ignored difference between plant output and voltage sent [V]; infinite: output unknown
+TOLERANCE = 2  # differences between plant output and sent voltage up to this are ignored [V]; infinite: output unknown
 OWN_PARAMETERS = 3
 
 # Own state.
@@ -100,9 +100,9 @@ def compensate(laws, part, row):
 def compensate_fixed(laws, arrays, row):
     """Compute the voltage by the fixed inverse.
 
-    When the plant's output differs from the voltage sent, the model follows the output, and the next voltage continues
-    from that output. So the reported achieved command stays correct, and the voltage does not jump. In a skipped sample
-    the voltage is held, and the model follows it.
+    When the plant's output differs from the sent voltage, the model follows the output, and the next voltage continues
+    from the output: the reported achieved command stays correct, and the voltage does not jump. In a skipped sample the
+    voltage is held, and the model follows it.
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
@@ -133,7 +133,7 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # the output follows the voltage of the inverse; their difference decreases at most at the slew rate for the
+        # the output returns to the voltage of the inverse; their difference changes at most at the slew rate for the
         # safe voltage
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
@@ -152,7 +152,7 @@ def compensate_fixed(laws, arrays, row):
 
 @kernel
 def note_output(own_p, row):
-    """Write the voltage at the actuator into the row when it differs from the voltage sent."""
+    """Write the voltage at the actuator into the row if it differs from the sent voltage."""
     if abs(row[at.PLANT_VOLTAGE] - row[at.VOLTAGE]) > own_p[TOLERANCE]:
         row[at.VOLTAGE] = row[at.PLANT_VOLTAGE]
         row[at.SATURATED] = 1.0
@@ -160,7 +160,7 @@ def note_output(own_p, row):
 
 @nested
 def compensate_adaptive(laws, arrays, row):
-    """Adapt the inverse with this sample's measurement, compute the voltage by the inverse, and store the output."""
+    """Adapt the inverse with this sample's measurement, compute the voltage by the inverse, and store the voltage."""
     p, x, settings, states = arrays.p, arrays.x, arrays.settings, arrays.adaptation
     voltage = x.limits[limiting.OUTPUT]
     measured = math.nan if row[at.SKIPPED] != 0.0 else row[at.MEASURED]
@@ -221,8 +221,7 @@ class CompensatorPart:
     def follow_plant(self, rounding: float, begins_safe: bool) -> None:
         """Follow the plant's output when it differs from the voltage sent.
 
-        Only a loop that computes all parts of a sample calls this method, because separate nodes receive the output too
-        late.
+        Only a loop that computes all parts of a sample calls this method; separate nodes receive the output too late.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -254,7 +253,7 @@ class CompensatorPart:
         self.arrays.watch_x.own[STOP] = 1.0
 
     def start(self) -> None:
-        """Continue without a jump: the difference between the present voltage and the command's voltage fades out."""
+        """Continue without a jump: the difference of the present voltage from that for the command decays to zero."""
         self.arrays.watch_x.own[STOP] = 0.0
         self.arrays.watch_x.own[RETURNING] = 1.0
 
@@ -279,7 +278,7 @@ class CompensatorPart:
         self._take(self.parameters, adaptation.identified)
 
     def saved(self) -> dict:
-        """Return the adapted model as parameters of the node, with which another axis can start."""
+        """Return the parameters of the node with the adapted model; another axis can start with them."""
         adaptation = self._adapted()
         model = {f"hysteresis.{name}": value for name, value in adaptation.weighted.to_mapping().items()}
         chosen = f"hysteresis.{self.parameters.hysteresis.type}."
@@ -327,7 +326,7 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Go to the safe voltage [V] immediately and return it for the last message of an exiting node."""
+        """Step to the safe voltage [V], and return it for the last message of an exiting node."""
         limits = self.arrays.p.limits
         # the last message must contain the safe voltage, whatever the slew rate limit
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0

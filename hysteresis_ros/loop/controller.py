@@ -98,8 +98,8 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: After this number of samples without a report of the achieved command, the controller assumes that no node reports
-#: achieved commands.
+#: If achieved commands were reported, and then are not for this number of samples, the controller assumes that no node
+#: reports them any more.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.
@@ -110,7 +110,7 @@ SAFE_COMMAND = 0  # [m]
 SAFE_STEP = 1  # [m] a sample
 PRELOAD = 2  # offset of the model [m]
 USE_ORIGIN = 3  # 1: the measurement is relative to the sequencer's origin
-PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is missing
+PREDICTS = 4  # 1: while a measurement is missing, the law uses the prediction of its observer
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
 NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force there is no command
@@ -124,7 +124,7 @@ UNANSWERED = 3  # samples since the last achieved command
 ANSWERED = 4  # 1 after the first achieved command
 REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; with active damping this is the output of the damping, not of the law
-OFFSET_LEFT = 7  # remaining part of the previous offset, which fades after a change [m]
+OFFSET_LEFT = 7  # difference from the offset before a change, decaying to zero [m]
 FORCE = 8  # measured force of the last sample [N]
 # the state of :mod:`.quiet` follows
 
@@ -134,7 +134,7 @@ NO_OFFSET = 1e-18
 
 @kernel
 def present_offset(own_p, own, decay):
-    """Return the offset of the measurement in this sample [m]; after a change it fades to the new value."""
+    """Return the offset of the measurement in this sample [m]; after a change it moves gradually to the new value."""
     left = own[OFFSET_LEFT]
     if left == 0.0:
         return own_p[PRELOAD]
@@ -146,9 +146,9 @@ def present_offset(own_p, own, decay):
 def resume(x, own, value):
     """Restart the controller at the displacement ``value`` [m]; the command continues from the last command.
 
-    The reference also starts at the displacement and fades to the received reference. The reaching law needs this: the
-    law responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
-    achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14). After a quiet hold the controller
+    The reference also starts at the displacement and moves gradually to the received reference. A reaching law needs
+    this: it responds mildly to a step of the reference, but strongly to a lasting difference between its command and
+    the achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14). After a quiet hold the controller
     keeps its states, because the axis has stood still.
     """
     own[RETURNING] = 0.0
@@ -159,7 +159,7 @@ def resume(x, own, value):
     go_on_from(x.handover, own[COMMANDED])
     go_on_from(x.return_path, value)
     if own[quieting.CONTINUES] != 0.0:
-        # the mean of the last measurements, because a single measurement would put its noise into the reference
+        # the mean of the last measurements, because the noise of a single one would enter the reference
         go_on_from(x.return_path, own[quieting.SEEN])
         # the command differs from the held command only by the noise of one sample, so the difference is halved in each
         # sample instead of fading slowly
@@ -171,13 +171,13 @@ def resume(x, own, value):
 
 @kernel
 def foreseeable(own_p, own, state, seen):
-    """Tell whether only the measurement is missing and an active observer predicts the displacement."""
+    """Tell whether an active observer can predict the displacement that is not measured in this sample."""
     return own_p[PREDICTS] != 0.0 and own[RETURNING] == 0.0 and state[header.STARTED] != 0.0 and seen != seen
 
 
 @kernel
 def corrected(p, x, own, value, followed, skipped):
-    """Return the reference [m] with the learned correction; ``followed``: whether the axis follows the reference."""
+    """Return the reference [m] plus the learned correction; ``followed``: whether the axis follows the reference."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
     error = own[REFERENCE] - value
@@ -208,7 +208,7 @@ def follow_while_holding(p, x, own, wanted):
 
 @nested
 def answer(laws, arrays, value, wanted, force):
-    """Return the command [m] for the displacement ``value`` [m] without offset; the law predicts a missing one (NaN).
+    """Return the command [m] for the displacement ``value`` [m] without offset; NaN: the law predicts the displacement.
 
     ``force`` is the measured force [N].
     """
@@ -229,8 +229,8 @@ def answer(laws, arrays, value, wanted, force):
 def resting_place(own_p, own, mode, value):
     """Return the command [m] towards which a controller in this mode slews, given the displacement ``value`` [m].
 
-    The slew rate is limited also while the command follows the displacement: otherwise the achieved command would close
-    a loop with gain 1.
+    The slew rate is also limited while the command follows the displacement, because otherwise command and displacement
+    would form a loop with gain 1.
     """
     if mode == QUIET:
         return held_command(own_p, own, value)
@@ -256,7 +256,7 @@ def control(laws, arrays, row):
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
     elif own_p[USE_ORIGIN] != 0.0:
-        # without reference and origin the target of the extender is unknown, so the extender holds
+        # without reference and origin the setpoint of the extender is unknown, so the extender holds
         value = row[at.REFERENCE]
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
@@ -366,7 +366,7 @@ class ControllerPart:
         return (*first, self._return_path, self.history, self.learning)
 
     def _connect(self) -> None:
-        """Combine the arrays of the present blocks."""
+        """Return the arrays of the present blocks together."""
         self.arrays = ControllerArrays(
             ControlArrays(*(block.p for block in self._blocks)),
             ControlArrays(*(block.x for block in self._blocks)),
@@ -391,7 +391,7 @@ class ControllerPart:
         self._connect()
 
     def prepare(self) -> None:
-        """Compile everything that may be needed while running, because any controller may take over within a sample."""
+        """Compile all controllers in advance, because any of them may take over within a sample."""
         prepare_controllers()
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -474,13 +474,13 @@ class ControllerPart:
         self._connect()
 
     def _require_force(self, block: ControllerParameters) -> None:
-        """Refuse damping by force feedback when no force is measured."""
+        """Refuse damping by force feedback if no force is measured."""
         if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
             remedy = f"missing force joint '{self.parameters.force_joint}': no force is measured; use irc or ppf"
             raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
-        """Refuse a change of the damping's type when the order of observer or inverse dynamics depends on the type."""
+        """Refuse a change of the type of damping if it would change the order of observer or inverse dynamics."""
         given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"

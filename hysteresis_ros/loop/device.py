@@ -9,10 +9,10 @@
 
 """A device that replaces the simulated plant, accessed from Python or by functions that machine code calls.
 
-The functions of a driver in C do not need Python's lock and allocate no memory; for a driver in Python, the functions
-call the methods of the driver. The voltages are monitored as for the simulated plant. A device that returns an error,
-or a position that is not a number, stops the axis in that sample: the device is made safe immediately, and is not used
-until the axis is started again.
+The functions of a driver in C do not need Python's lock and allocate no memory; for a driver in Python, they call its
+methods. The voltages are monitored as for the simulated plant. If a device returns an error, or a position that is not
+a number, the axis stops in that sample: the device is made safe immediately, and is not used until the axis is started
+again.
 
 The limits come from the parameter file and must lie within the device's range.
 """
@@ -63,18 +63,18 @@ from hysteresis_ros.models.calibration import (
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
 # Link to the device, int64: the addresses of its functions, of the device and of this array itself. The addresses of
-# the functions for clock, triggers and trigger input are 0 if these are not used. In a copy of the arrays SELF no
-# longer matches, so a copy never accesses the device.
+# the functions for clock, triggers and trigger input are 0 if these are not used. In a copy of the arrays, SELF differs
+# from the address of the copy, so a copy never accesses the device.
 READ, WRITE, MAKE_SAFE, DEVICE, SELF, CLOCK, TRIGGER, PULSES = range(8)
 LINKS = 8
 
-# Failure, int64: the function that failed, its code, and the code of the attempt to make the device safe.
+# Failure, int64: the function that failed, its error code, and the error code of the attempt to make the device safe.
 FAILED, CODE, SAFE_CODE = range(3)
 ANSWERS = 3
 #: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan, a trigger, the
 #: trigger input.
 NOTHING, READING, WRITING, NONSENSE, CLOCKING, TRIGGERING, PULSING = range(7)
-#: Text for messages: what could not be done with the device in each failure.
+#: Text for messages: what the device could not do, after "cannot".
 _DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
 _DEEDS |= {TRIGGERING: "output a trigger", PULSING: "read its trigger input"}
 
@@ -84,10 +84,10 @@ class DevicePlantArrays(NamedTuple):
 
     link: np.ndarray
     answer: np.ndarray
-    #: Buffers of the device's voltages and positions, both in the units of the device; forces follow the positions.
+    #: Buffers of the device's positions, followed by forces, and of its voltages, all in the units of the device.
     positions: np.ndarray
     voltages: np.ndarray
-    #: Buffer of the pulses at the trigger input, int64.
+    #: Buffer of the number of pulses at the trigger input, int64.
     pulses: np.ndarray
     #: Last voltage [V] of a device that could not be made safe.
     left: np.ndarray
@@ -118,11 +118,11 @@ if COMPILED:
     from llvmlite import ir
     from numba import extending, types
 
-    #: Decorator for which Numba passes the typing context; callers pass only the other arguments.
+    #: Decorator of functions whose first argument, the typing context, is passed by Numba and not by the caller.
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int, numbers: int = 0, reals: int = 0) -> Any:
-        """Return a caller of an ``int32_t`` function of ``count`` pointers, then int64_t numbers, then doubles.
+        """Return a caller of ``int32_t`` functions with ``count`` pointers, then int64_t numbers, then doubles.
 
         Addresses are data, so that the code can be cached.
         """
@@ -267,7 +267,7 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read the device; in a repeated run the row already contains the readings, and the voltage of a failed device."""
+    """Read the device; in the repetition of a recorded run, the row already contains readings and output voltage."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
     recorded = row[at.PLANT_VOLTAGE]
@@ -309,7 +309,7 @@ def actuate_device(laws, arrays, row):
     """Output the voltage of the row after monitoring.
 
     In a skipped sample no voltage is written: the device holds the last voltage, even on the way to or from the safe
-    voltage. The clock of a scan and triggers are output nevertheless, so that the number of their pulses stays correct.
+    voltage. Scan edges and triggers are still output, so that their number stays correct.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -398,15 +398,15 @@ class DrivenPlant(Plant):
     @property
     def failure(self) -> str:
         """Error of a device that has stopped the axis, and the voltage that it may still output."""
-        left = self._left  # read once, because another thread clears it when the device is safe
+        left = self._left  # read once, because another thread may clear it meanwhile
         return f"{self._failure}; the device {left}" if left else self._failure
 
     def _require(self, can: Capabilities) -> None:
-        """Raise a DriverError unless the device meets the requirements of the axis."""
+        """Raise a DriverError if the device does not meet the requirements of the axis."""
         parameters, device = self.parameters, f"driver {self.parameters.driver}:"
         low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
         if can.keeps_time:
-            remedy = "the package must set them: let the driver sample the device, or write a node (docs/hardware.md)"
+            remedy = "the loop must set them: let the driver sample the device, or write a node (docs/hardware.md)"
             raise DriverError(device, "the device sets the sample times itself", remedy)
         units, given = (can.position_unit, can.voltage_unit), parameters.calibration
         if units != (given.sensor.unit, given.amplifier.unit):
@@ -433,7 +433,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, f"the device supports at most {can.highest_rate:g} Hz", "lower sample_rate")
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
             problem = f"the device's watchdog of {can.watchdog:g} s is not longer than a sample of {1.0 / rate:g} s"
-            raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
+            raise DriverError(device, problem, "raise sample_rate, or set a longer watchdog")
 
     def _require_triggers(self, can: Capabilities, device: str) -> None:
         """Raise a DriverError if the device lacks a trigger output or a trigger input that the axis needs."""
@@ -446,7 +446,7 @@ class DrivenPlant(Plant):
             return
         if not given.makes_events:
             remedy = "give plant_simulator the triggers of the reference generator too, or start it with hysteresis up"
-            raise DriverError(device, "trigger_output is true, and the node has no triggers", remedy)
+            raise DriverError(device, "trigger_output is true, but the node has no triggers", remedy)
         if not can.trigger_rate > 0.0:
             raise DriverError(device, "the device has no output for triggers", NO_TRIGGERS)
         wanted = given.rate or parameters.sample_rate
@@ -456,10 +456,10 @@ class DrivenPlant(Plant):
             raise DriverError(device, problem, f"set triggers.rate: {math.floor(can.trigger_rate):d}")
         if can.compares and not given.compares:
             remedy = "give positions, or trigger_output: false; the topic trigger_out has the triggers"
-            raise DriverError(device, "the device compares positions itself, and these triggers have none", remedy)
+            raise DriverError(device, "the device compares positions itself: triggers.positions is empty", remedy)
         if can.compares and parameters.calibration.sensor.reference == "relative":
             remedy = "set trigger_output: false; the topic trigger_out has the triggers"
-            raise DriverError(device, "the device compares positions that are unknown until it is homed", remedy)
+            raise DriverError(device, "the device compares positions, which are unknown until it is homed", remedy)
 
     @property
     def _opened(self) -> Device:
@@ -494,7 +494,7 @@ class DrivenPlant(Plant):
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] before the first voltage is received."""
+        """Output voltages [V] before the first voltage is received."""
         return self.parameters.safe_voltage, 0.0, 0.0
 
     @property
@@ -515,7 +515,7 @@ class DrivenPlant(Plant):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row; NaN if there is no new position."""
+        """Read the position and write it into the row; NaN if there is no new position."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -590,15 +590,15 @@ class DrivenPlant(Plant):
             self._try_device(left)
 
     def _acknowledge(self) -> None:
-        """Clear the error at a user's request; an error that persists is reported at the next sample."""
+        """Clear the error on request of a user; if it persists, the next sample reports it again."""
         if self._device is not None:
             self._device.desist()
         self._failure = self._left = ""
 
     def _try_device(self, left: bool) -> None:
-        """Read and write the device once at its safe voltage, so that a start reports a device that still fails.
+        """Read the device once, and write its safe voltage, so that a start reports a device that still fails.
 
-        A device that was left at another voltage is made safe first; otherwise its output would step.
+        A device that could not be made safe is made safe first; otherwise its output would step.
         """
         try:
             if left:
@@ -624,9 +624,9 @@ class DrivenPlant(Plant):
             raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, remedy)])
         if not self.tripped or self.held() != safe:
             remedy = (
-                f"home is the position at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
+                f"home is the position at safe_voltage = {safe:g} V: stop the axis (publish true on estop), wait until "
+                "the voltage is there, then home the sensor"
             )
-            remedy += "there, then home it"
             raise ParameterError([Problem("voltage", self.held(), remedy)])
         self.sensor.begin_homing()
 
@@ -641,7 +641,7 @@ class DrivenPlant(Plant):
         return bool(self._watch_x.trip[TRIP] == FINDING_HOME)
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Apply new limits, time-outs and safe voltages while running."""
+        """Apply new limits, time-outs and safe voltages while the axis runs."""
         before, after = self.parameters.driver_parameters, parameters.driver_parameters
         for name, value in after.to_mapping().items():
             if not name.startswith("limits.") and value != before.to_mapping().get(name):
@@ -657,7 +657,7 @@ class DrivenPlant(Plant):
         super().retune(parameters)
 
     def step_to_safe(self) -> bool:
-        """Move the voltage one sample towards the safe voltage; False when it is reached, or the device has failed."""
+        """Move the voltage one step towards the safe voltage; False if it is reached, or the device has failed."""
         p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
         if self._failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
             return False
@@ -700,7 +700,7 @@ class DrivenPlant(Plant):
 
 
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:
-    """Return limits without rounding, because the device has its own converter."""
+    """Return the limits without quantisation, because the device has its own converter."""
     return replace(limits, bits=0)
 
 
@@ -721,7 +721,7 @@ def plant_of(parameters: PlantNodeParameters, travel: Sequence[float] | None = N
 
 
 class CompiledPlant(DrivenPlant):
-    """A device with one actuator, read and written by machine code."""
+    """A device with one actuator, which machine code reads and writes."""
 
     # placeholders for the kernels of a simulated plant
     kernels = limits, limits, limits
@@ -793,9 +793,9 @@ class CompiledPlant(DrivenPlant):
         self.arrays.answer[SAFE_CODE] = 0
 
     def recover(self) -> bool:
-        """Make safe a device that was left at another voltage, so that its output does not step at the next start.
+        """Make safe a device that could not be made safe before, so that its output does not step at the next start.
 
-        Returns whether the device was left at another voltage. Any thread may call this method, because the loop does
+        Returns whether the device had not been safe. Any thread may call this method, because the loop does
         not call a device that has failed.
 
         Raises

@@ -9,9 +9,9 @@
 
 """Fault injection: replaces the inputs of the parts of the loop.
 
-A fault has a name, a start and a duration in seconds of the axis' own time, and, for some kinds, a value, written
-``NAME:START:DURATION[:VALUE]``. Faults are parameters of the axis (``faults``, under ``/**``), so the nodes, the
-offline twin and the recording contain them. A run with faults can be repeated bit for bit like any other run.
+A fault is written ``NAME:START:DURATION[:VALUE]``; start and duration are in seconds of the axis' own time, and some
+kinds have a value. Faults are parameters of the axis (``faults``, under ``/**``), so the nodes, the offline twin and
+the recording contain them. A run with faults can be repeated bit for bit like any other run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LONGEST_DELAY = 10000
 class FaultKind:
     """One kind of fault."""
 
-    target: int  #: target, action: the affected signal, and the effect.
+    target: int  #: target, action: affected signal, and effect on it.
     action: int
     description: str
     value: float | None = None  #: Default of the value; None: the fault has no value.
@@ -143,7 +143,7 @@ class Fault:
 
 
 def checked_value(text: str, name: str, start: float, duration: float, value: float | None) -> float | None:
-    """Return the value of a fault, by default the value of its kind; None if the kind has no value."""
+    """Return the value of a fault, by default that of its kind; None if the kind has no value."""
     if name not in FAULTS:
         close = difflib.get_close_matches(str(name), FAULTS, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}? " if close else ""
@@ -206,7 +206,7 @@ def unreached(faults: Iterable[str], samples: int, sample_rate: float) -> list[s
     ]
 
 
-# Parameter array: number of faults, length of the ring; then five numbers per fault.
+# Parameter array: number of faults, length of the ring; then five numbers for each fault.
 COUNT, RING_LENGTH = 0, 1
 ENTRIES = 2
 TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first sample after the fault, value

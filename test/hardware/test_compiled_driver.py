@@ -384,7 +384,7 @@ def test_between_samples_it_is_told_its_voltage_again_and_nothing_else_moves(lib
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("keeps_time=1",), "the device sets the sample times itself; the package must set them"),
+        (("keeps_time=1",), "the device sets the sample times itself; the loop must set them"),
         (("unit=mm",), "the device reads 'mm' and outputs 'V'; calibration.sensor.unit is 'm' and"),
         (("joints=2",), "the device has 2 joints; an axis has 1"),
         (("depth=2",), "cannot be opened: liblisted.so: does not know an option; check the device"),

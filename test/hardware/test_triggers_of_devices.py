@@ -133,13 +133,13 @@ def test_a_reading_is_found_for_a_curved_sensor():
             {"trigger_rate": 3e3, "compares": True},
             {"triggers__times": (0.1,)},
             {},
-            "the device compares positions itself, and these triggers have none; give positions",
+            "the device compares positions itself: triggers.positions is empty; give positions",
         ),
         (
             {"trigger_rate": 3e3, "compares": True},
             None,
             {"calibration__sensor__reference": "relative"},
-            "compares positions that are unknown until it is homed; set trigger_output: false",
+            "compares positions, which are unknown until it is homed; set trigger_output: false",
         ),
         (
             {"trigger_rate": 3e3},

@@ -212,7 +212,7 @@ def test_a_source_that_stops_answering_ends_the_run_with_an_error(inside, observ
     ("values", "words"),
     [
         ({"axes": 5000}, "axes = 5000: "),
-        ({"wait_for_setpoints": True}, "wait_for_setpoints = True: needs time_mode: lockstep, and it is realtime"),
+        ({"wait_for_setpoints": True}, "wait_for_setpoints = True: needs time_mode: lockstep, not realtime"),
         ({"time_mode": "fused"}, "time_mode = 'fused': must be lockstep or realtime"),
         ({"sample_rate": 100.0}, "sample_rate = 100.0 Hz: must equal that of plant_simulator, 200 Hz"),
         ({"each": "there/is/none.npz"}, "each = 'there/is/none.npz': cannot be read"),
