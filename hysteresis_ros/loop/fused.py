@@ -66,9 +66,10 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Set priority and core of the calling thread, and lock the process in RAM; return the refused settings."""
+    """Set priority and core of the calling thread, and lock the process in RAM; return a text about refused
+    settings."""
     library = ctypes.CDLL(None, use_errno=True)
-    # for threads without priority the kernel may delay the wake-up by 50 µs to save energy
+    # without this the kernel may delay the wake-up of a thread without priority by 50 µs to save energy
     if hasattr(library, "prctl"):
         library.prctl(_TIMER_SLACK, ctypes.c_ulong(1), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
     refused = []
@@ -100,11 +101,11 @@ def has_priority() -> bool:
     return hasattr(os, "sched_getscheduler") and bool(os.sched_getparam(0).sched_priority)
 
 
-#: Upper limit of the automatic time ahead of a deadline, at which polling of the clock begins [ns].
+#: Upper limit of the automatic time before a deadline at which polling of the clock begins [ns].
 LONGEST_SPIN = 100_000
-#: Name of the claims of cores for polling the clock, one less than there are cores; all processes use this name.
+#: Name of the claims of cores for polling the clock, the same in all processes; there is one claim less than cores.
 CLAIM = "hysteresis_ros/looks"
-#: While this file is open, the largest wake-up latency [µs] written to it limits the sleep states of the processor.
+#: While this file is open, the processor uses only sleep states with at most the wake-up latency [µs] written to it.
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
 
@@ -116,7 +117,7 @@ def usable_cores() -> int:
 def claim_of_a_core() -> socket.socket | None:
     """Claim a core on which a loop may poll the clock; return the claim, or None if no core is free.
 
-    The caller closes the claim. The loops of all processes on this machine leave one core to other work.
+    The caller closes the claim. Together the loops of all processes on this machine leave one core for other work.
     """
     for index in range(usable_cores() - 1):
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -130,7 +131,7 @@ def claim_of_a_core() -> socket.socket | None:
 
 
 def require_spin(spin: float) -> None:
-    """Refuse polling of the clock for ``spin`` [s] when the loop would take the core that the nodes need."""
+    """Refuse polling of the clock for ``spin`` [s] if the loop would take the core that the nodes need."""
     if spin <= 0.0:
         return
     what = f"realtime.spin = {spin:g} s"
@@ -143,20 +144,20 @@ def require_spin(spin: float) -> None:
     if usable_cores() < 2:
         raise ConfigurationError(
             f"{what}: this process may use a single core, on which the nodes wait while the loop polls the clock; "
-            f"{instead}, or let it use a second core"
+            f"{instead}, or permit a second core"
         )
     claim = claim_of_a_core()
     if claim is None:
         raise ConfigurationError(
             f"{what}: other loops poll the clock on all but one of the {usable_cores()} cores, and the nodes need "
-            f"that one; {instead}, or end another axis"
+            f"that one; {instead}, or end another fused axis"
         )
     claim.close()
 
 
 @contextlib.contextmanager
 def shallow_sleep():
-    """Keep the processor out of deep sleep states, from which it wakes slowly; return whether this is permitted."""
+    """Keep the processor out of deep sleep states, from which it wakes slowly; yield whether this is permitted."""
     with contextlib.ExitStack() as stack:
         held = None
         with contextlib.suppress(OSError):
@@ -166,7 +167,7 @@ def shallow_sleep():
 
 
 def boost(parameters: RealtimeParameters) -> None:
-    """Let the calling thread run just below the priority of the loop's thread, if permitted."""
+    """Set the priority of the calling thread just below that of the loop's thread, if permitted."""
     if parameters.priority:
         priority = os.sched_param(max(parameters.priority - 1, 1))
         with contextlib.suppress(AttributeError, OSError):
@@ -175,7 +176,7 @@ def boost(parameters: RealtimeParameters) -> None:
 
 @contextlib.contextmanager
 def boosted(parameters: RealtimeParameters):
-    """Run just below the priority of the loop's thread, if permitted, so that the loop comes first on a shared core."""
+    """Run just below the priority of the loop's thread, if permitted, so that the loop is first on a shared core."""
     before = None
     with contextlib.suppress(AttributeError, OSError):
         before = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -194,7 +195,7 @@ def undisturbed():
     collects, interval = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(TURN)
-    time.sleep(0.0)  # a thread that waits for the interpreter lock restarts its wait with the new interval
+    time.sleep(0.0)  # so that threads that wait for the interpreter lock use the new interval
     try:
         yield
     finally:
@@ -208,16 +209,16 @@ def _reason(error: Exception) -> str:
 
 
 #: Sample rate that the loop sustains without Numba [Hz]: a sample of a motor takes up to 0.4 ms, and another thread of
-#: Python may hold the interpreter for 5 ms, which is one period.
+#: Python may hold the interpreter for 5 ms, one period at this rate.
 INTERPRETED_RATE = 200.0
-#: Time for which samples are kept for readers [s], and smallest and largest number of kept samples.
+#: Time for which samples are kept for readers [s], and minimum and maximum of their number.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
 #: Interval at which the loop's acceptance of a request is polled [s].
 LOOK = 2e-4
-#: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks, which may take
-#: 5 ms if another thread runs.
+#: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks; a sleep may
+#: take 5 ms if another thread runs.
 HASTE = 2e-3
 
 
@@ -243,7 +244,7 @@ def pace_arrays(axis: Axis | Stage, factor: float = math.inf, samples: int = 0) 
         np.zeros((at.POSTS, len(axes), at.POST)),
         np.zeros((at.EVENTS, 3), dtype=np.int64),
         np.zeros(at.BINS, dtype=np.int64),
-        np.full((kept, len(axes), size), math.nan),  # the arrays are written once, so that their memory is allocated
+        np.full((kept, len(axes), size), math.nan),  # written once, so that the memory is allocated before the run
         np.full(kept, -1, dtype=np.int64),
         np.full((kept, sum(one.plant.joint_numbers for one in axes)), math.nan),
         np.zeros(2, dtype=np.int64),
@@ -266,8 +267,8 @@ def machine(axis: Axis | Stage, own: Pace):
 class FusedLoop:
     """Runs an axis, or all axes of a stage, in a thread of its own.
 
-    All methods may be called from any thread. While the loop runs, nothing else may run or change the axis. Methods
-    that concern one axis of a stage take its index among the axes (``place``); a single axis has index 0.
+    All methods may be called from any thread. While the loop runs, nothing else may run or change the axis. For an axis
+    of a stage, methods take its index among the axes (``place``); a single axis has index 0.
     """
 
     def __init__(
@@ -336,7 +337,7 @@ class FusedLoop:
         return not self.running
 
     def leave(self) -> bool:
-        """End after the present sample; return whether the thread has ended: not while a device blocks it."""
+        """End after the present sample; return whether the thread has ended: False if a device blocks it."""
         self._ending = True
         self._state[at.LEAVE] = 1
         while not self.is_blocked:
@@ -364,7 +365,7 @@ class FusedLoop:
 
     @contextlib.contextmanager
     def _ahead(self):
-        """Let the thread poll the clock ahead of deadlines, as the parameters require and the machine permits."""
+        """Let the thread poll the clock before deadlines, as the parameters require and the machine permits."""
         state, spin = self._state, self._realtime.spin
         state[at.AHEAD] = state[at.MOST_AHEAD] = 0
         automatic = spin < 0.0 and COMPILED and has_priority()
@@ -396,14 +397,14 @@ class FusedLoop:
             self.axis.sample = self.sample
 
     def _run_loop(self) -> None:
-        """Run the compiled loop, and start it again each time a part has been replaced."""
+        """Run the compiled loop, and restart it each time a part has been replaced."""
         state = self._state
         while True:
             run, arguments = machine(self.axis, self._own)
             run(*arguments)
             if not state[at.LEAVE] or self._ending:
                 return
-            state[at.LEAVE] = 0  # the loop continues, with the replaced parts
+            state[at.LEAVE] = 0  # continue with the replaced parts
 
     # -- requests and changes --------------------------------------------------------------------------------------
 
@@ -428,19 +429,19 @@ class FusedLoop:
         self._post({place: {at.POST_SETPOINT: value} for place, value in setpoints.items()})
 
     def pulse(self, place: int = 0) -> None:
-        """Pulse the trigger input of an axis with the next sample."""
+        """Give the trigger input of an axis a pulse in the next sample."""
         self._post({place: {at.POST_PULSES: None}})
 
     def halt(self) -> None:
-        """Stop everything with the next sample; the plants stay safe until all stopped parts are started again."""
+        """Stop all parts in the next sample; the plants stay safe until all stopped parts are started again."""
         self._post({place: {at.POST_HALTS: None} for place in range(len(self._asked))})
 
     def apply(self, change: Change, places: Sequence[int] = (0,)) -> int:
-        """Make a change to these axes, wait until it is done, and return the first sample to which it applies."""
+        """Make a change, wait until it is done, and return the first sample to which it applies."""
         return self.apply_together({place: change for place in places})
 
     def apply_together(self, changes: Mapping[int, Change]) -> int:
-        """Make one change on each of several axes, by index, before the same sample, and return this sample."""
+        """Make one change to each of several axes, by index, before the same sample; return its number."""
         with self._changing:
             switches = {place: (change.node, change.action) for place, change in changes.items()}
             sample = None
@@ -453,7 +454,7 @@ class FusedLoop:
         return sample
 
     def _post(self, given: Mapping[int, Mapping[int, float | None]]) -> None:
-        """Post requests to axes; each value in a post is followed by the number of times that it has been set."""
+        """Post requests to axes; in a post, each value is followed by the number of times that it has been set."""
         asked = self._asked
         with self._posting:
             for place, values in given.items():
@@ -513,7 +514,7 @@ class FusedLoop:
 
     @contextlib.contextmanager
     def _between_samples(self):
-        """Pause the loop between two samples; the calling thread meanwhile runs at nearly the priority of the loop."""
+        """Pause the loop between two samples; meanwhile the calling thread runs just below the priority of the loop."""
         state = self._state
         wanted = int(state[at.PAUSE]) + 1
         with boosted(self._realtime), undisturbed():
@@ -529,14 +530,14 @@ class FusedLoop:
                 state[at.RESUMED] = wanted
 
     def _refuse_blocked(self) -> None:
-        """Raise a LoopError while a blocked device prevents changes."""
+        """Raise a LoopError if a blocked device prevents changes."""
         if self.is_blocked:
             raise LoopError(
                 f"the device has not returned from sample {self.sample} for {self.patience:g} s: the change is refused"
             )
 
     def _rehearse(self, place: int, change: Change | None) -> Parameters | None:
-        """Apply a change to a copy of the axis and run the copy: errors and compilation then occur outside the loop.
+        """Apply a change to a copy of the axis and run the copy, so that errors and compilation occur outside the loop.
 
         Returns the new, checked parameters of the part.
         """
@@ -579,7 +580,7 @@ class FusedLoop:
         return [entry[3] for entry in sorted(self._log, key=lambda entry: entry[:2]) if entry[2] == place]
 
     def _read_events(self) -> None:
-        """Move the switches of the compiled code into the log."""
+        """Move the starts and stops that the compiled code has executed into the log."""
         with self._posting:
             count = int(self._state[at.EVENT_COUNT])
             for index in range(self._events_read, count):
@@ -589,7 +590,7 @@ class FusedLoop:
             self._events_read = count
 
     def reader(self, place: int = 0) -> Reader:
-        """Return a reader of the ring of one axis that begins with the next sample."""
+        """Return a reader of the samples of one axis in the ring, beginning with the next sample."""
         return Reader(self._own, lambda: self._offset, place)
 
     def take(self) -> Samples:
@@ -597,7 +598,7 @@ class FusedLoop:
         return self._reader.take()
 
     def latest(self, place: int = 0) -> tuple[int, np.ndarray]:
-        """Return number and row of the last sample; before the first sample -1 and NaN."""
+        """Return number and row of the last sample; -1 and NaN before the first sample."""
         return latest(self._own, place)
 
     def lateness(self) -> Lateness:
@@ -624,7 +625,7 @@ def _same(one, other) -> bool:
 #: A rate is sustained when 99 % of the samples begin less than ``LATEST`` periods after the deadline, and the fraction
 #: of skipped samples is less than ``MOST_SKIPPED``.
 LATEST, MOST_SKIPPED = 0.5, 0.005
-#: Number of batches and samples per batch to measure the cost of a sample; the fastest batch is used.
+#: Number of batches, and samples per batch, that measure the computing time of a sample; the fastest batch is used.
 BATCHES, BATCH = 5, 100
 
 
@@ -665,7 +666,7 @@ def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
 
 
 def tick_cost(parameters: AxisParameters | StageParameters) -> float:
-    """Return the least computing time of a sample [s] of an axis or a stage with simulated plants on this machine."""
+    """Return the computing time of a sample [s] with simulated plants on this machine, in the fastest batch."""
     axis = at_rest(parameters)
     found = []
     for _ in range(BATCHES):
@@ -678,11 +679,11 @@ def tick_cost(parameters: AxisParameters | StageParameters) -> float:
 
 
 def require_speed(parameters: AxisParameters | StageParameters) -> None:
-    """Refuse an axis or a stage whose samples take longer than a period, before anything moves."""
+    """Before anything moves, refuse an axis or a stage whose samples take longer than a period."""
     first = parameters.axes[0] if isinstance(parameters, StageParameters) else parameters
     plant: PlantNodeParameters = first.plant_simulator
     if plant.realtime.force or plant.driver or not COMPILED:
-        return  # the response time of a device is unknown before it is used; without Numba another limit applies
+        return  # the response time of a device is not yet known; without Numba, INTERPRETED_RATE is the limit
     rate, cost = plant.sample_rate * plant.real_time_factor, tick_cost(parameters)
     if cost * rate > 1.0:
         raise ConfigurationError(

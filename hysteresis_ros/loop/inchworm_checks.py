@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Checks of an inchworm's gait against the parameters of its motor."""
+"""Checks of an inchworm's gait against the parameters of motor and compensator."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from hysteresis_ros.references.inchworm_steps import LOAD_PART
 
 #: Ratio of holding force to load below which a warning is given.
 SAFETY_FACTOR = 2.0
-#: Duration of a motion of the extender, in periods of the slider's oscillation on it, below which a warning is given.
+#: Shortest motion of the extender without a warning, in periods of the slider's oscillation on the extender.
 SWINGS = 2.0
-#: Largest crossover frequency of a designed loop, as a fraction of the resonance of the slider on the extender.
+#: Largest crossover frequency of a designed loop, as a fraction of the slider's resonance on the extender.
 CROSSOVER_PART = 0.25
 
 
 def inchworm_problems(plant, parts):
     """Yield a Problem for each parameter of the gait that does not fit the other nodes.
 
-    The problems are: clamps too slow for the gait, voltages beyond the range of the clamps' amplifiers, extensions
-    beyond the range of the compensator, travel beyond the end stops.
+    The problems are: an adaptive inverse, extensions beyond the range of the compensator, clamps that hold too little
+    or are too slow, voltages beyond the range of the clamps' amplifiers, travel beyond the end stops.
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
@@ -53,7 +53,7 @@ def inchworm_problems(plant, parts):
         clamp = getattr(motor, name)
         settling = clamp.lag.settling_time()
         if gait.clamp_settling < settling:
-            remedy = f"shorter than the settling of the plant's {name}: must be ≥ {settling:.3g} s"
+            remedy = f"shorter than the settling time of the plant's {name}: must be ≥ {settling:.3g} s"
             yield Problem("inchworm_sequencer: gait.clamp_settling", gait.clamp_settling, remedy)
         low, high = clamp.limits.minimum, clamp.limits.maximum
         for which in ("grip_voltage", "release_voltage", "initial_voltage"):
@@ -69,12 +69,12 @@ def inchworm_problems(plant, parts):
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
-    """Return the warnings: clamps that hold less than twice the load, a load too heavy for the stroke, fast motions."""
+    """Return the warnings about the holding force of the clamps, the load, fast motions and continuous walking."""
     return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant, sequencer.walk))
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
-    """Return a warning if ``crossovers`` [Hz] of a design come near the slider's resonance.
+    """Return a warning if one of the ``crossovers`` [Hz] of a design is close to the slider's resonance, or above it.
 
     The resonance is not in the model.
     """

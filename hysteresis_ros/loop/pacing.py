@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The compiled loop of the fused runner: absolute deadlines, start and stop requests, the ring of finished samples.
+"""The compiled loop of the fused runner: absolute deadlines, start and stop requests, a ring of finished samples.
 
 The loop computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests,
 inputs and the ring have an entry for each axis.
@@ -19,8 +19,8 @@ This loop starts and stops parts between two samples; every other change is made
 A sample that would begin a whole period or more after its deadline is skipped: it has no measurement and no command,
 and the voltage is held. So a missed deadline is never followed by a burst of late outputs.
 
-An idle core takes some 10 µs to wake. So the thread sleeps only until a time *ahead* of the deadline, and then
-polls the clock until the deadline. The time ahead is fixed, or it follows the wake-up times of this machine.
+An idle core takes tens of microseconds to wake up. So the thread sleeps only until a certain time before the deadline,
+and then polls the clock. This time is fixed, or it follows the wake-up times of this machine.
 """
 
 from __future__ import annotations
@@ -62,14 +62,15 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return node and action of each part that a code starts or stops; a sequencer gets a stop request instead."""
+    """Return node and action of each part that a code starts or stops; not of a sequencer, which gets a stop
+    request."""
     codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
     return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 
 
 @nested
 def switch(laws, parts, column, code):
-    """Start or stop a part from this sample on; requests to a source are written into ``column``."""
+    """Start or stop a part, beginning with this sample; requests to a source are written into ``column``."""
     trip = parts.plant.watch_x.trip
     controller, compensator = parts.controller.watch_x.own, parts.compensator.watch_x.own
     if code == START_PLANT:
@@ -95,14 +96,14 @@ def switch(laws, parts, column, code):
 
 
 class Alone(NamedTuple):
-    """The object that the loop runs: one axis."""
+    """What the loop runs: one axis."""
 
     laws: Any  #: Of :class:`hysteresis_ros.loop.tick.Laws`.
     parts: Any  #: Of :class:`hysteresis_ros.loop.tick.Parts`.
 
 
 class Together(NamedTuple):
-    """The object that the loop runs: all axes of a stage."""
+    """What the loop runs: all axes of a stage."""
 
     laws: Any  #: Tuple of the laws of each axis.
     parts: Any  #: Tuple of the parts of each axis.
@@ -118,16 +119,16 @@ class Pace(NamedTuple):
     counts: np.ndarray
     #: Indices of the inputs in a row.
     given: np.ndarray
-    #: The row of the sample with the inputs of the parts, then the starts and stops to execute before the sample, shape
-    #: (axes, row length + MOST_SWITCHES, 1).
+    #: Row of the sample with the inputs of the parts, followed by the starts and stops to execute before the sample,
+    #: shape (axes, row length + MOST_SWITCHES, 1).
     column: np.ndarray
-    #: Rows that the parts work on, shape (axes, row length).
+    #: Rows that the parts read and write, shape (axes, row length).
     row: np.ndarray
     #: Setpoints of the configuration: first sample, value [m], axis; shape (N, 3), in the order of the samples.
     schedule: np.ndarray
     #: Requests to all axes, one table for each post, shape (POSTS, axes, POST).
     posts: np.ndarray
-    #: Executed starts, stops and retunings: sample, code, axis; int64, shape (EVENTS, 3).
+    #: Executed starts and stops: sample, code, axis; int64, shape (EVENTS, 3).
     events: np.ndarray
     #: Histogram of the lateness, int64, shape (BINS,).
     histogram: np.ndarray
@@ -136,29 +137,29 @@ class Pace(NamedTuple):
     times: np.ndarray
     #: Contents of ``joint_states`` of a motor, shape (N, JOINTS).
     joints: np.ndarray
-    #: Time structure for the C library, int64, shape (2,).
+    #: ``timespec`` of the C library: seconds, nanoseconds; int64, shape (2,).
     timespec: np.ndarray
 
 
 # State, written by the loop. SAMPLE: number of the next sample. HEAD: number of samples written to the ring so far.
 # MISSED: skipped samples. TAKEN: posts taken. EVENT_COUNT: number of events. LATEST: greatest lateness [ns].
-# BUSY, BUSIEST: total and longest computing time of samples [ns]. IN_ROW: skipped samples in a row.
+# BUSY, BUSIEST: total and longest computing time of samples [ns]. IN_ROW: consecutive skipped samples.
 SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9)
-# State, written by other threads. LEAVE: 1 ends the loop before the next sample. UNTIL: sample before which the loop
-# ends, 0: never. POSTED: number of posts. ORIGIN: time of sample 0 [ns], 0: not started. PERIOD: sample time [fs].
-# UNPACED: 1 runs the loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of the last
-# requested pause. RESUMED: number of the last pause that is over.
+# State, written by other threads. LEAVE: 1 ends the loop before the next sample. UNTIL: number of the sample before
+# which the loop ends, 0: never. POSTED: number of posts. ORIGIN: time of sample 0 [ns], 0: not started. PERIOD: sample
+# time [fs]. UNPACED: 1 runs the loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of
+# the last requested pause. RESUMED: number of the last pause that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
 # PAUSED: number of the last pause that has begun. AT_WORK: start of the sample in progress [ns], 0: no sample.
 PAUSED, AT_WORK = 18, 19
-# AHEAD: time before a deadline at which the thread begins to poll the clock [ns]. MOST_AHEAD: upper bound of this time
-# while it follows the wake-up times [ns], 0: it is fixed. WAKE: estimated quantile of the wake-up times [ns].
-# LOOKED: total time of polling [ns].
+# AHEAD: time before a deadline at which the thread begins to poll the clock [ns]. MOST_AHEAD: upper bound of AHEAD if
+# it follows the wake-up times [ns], 0: AHEAD is fixed. WAKE: estimated quantile of the wake-up times [ns]. LOOKED:
+# total time of polling [ns].
 AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
 STATES = 24
 
-# Counters of an axis, written by the loop: numbers of setpoints, requests, speeds, starts or stops, and emergency stops
-# taken; index of the next entry of the schedule; number of pulses of the trigger input taken.
+# Counters of an axis, written by the loop: accepted setpoints, requests, speeds, starts or stops, emergency stops;
+# index of the next entry of the schedule; accepted pulses of the trigger input.
 SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED, PULSED = range(7)
 COUNTS = 7
 
@@ -167,27 +168,26 @@ POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPE
 POST_SWITCH, POST_SWITCHES, POST_HALTS, POST_PULSES = range(6, 10)
 POST = 10
 
-#: Largest number of starts and stops of an axis before one sample.
+#: Largest number of starts and stops of an axis between two samples.
 MOST_SWITCHES = 2
 
-#: Capacity for posts and events, far more than occur within a sample.
+#: Capacity of the rings of posts and events, far more than occur within a sample.
 POSTS, EVENTS = 64, 1024
 
-#: Lateness of the first bin [ns], number of bins, and number of bins per factor e of the lateness.
+#: Upper limit of the first bin of the lateness [ns], number of bins, and number of bins per factor e of the lateness.
 LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
 #: Longest uninterrupted wait [ns]; a request to end the loop is delayed by at most this time.
 PIECE = 50_000_000
 #: Increase of the estimated wake-up time after a longer wake-up, and decrease after a shorter wake-up [ns]. The
-#: estimate settles at the 98 % quantile, where both steps balance, and follows a change of 10 µs within some 200 long
-#: wake-ups.
+#: estimate converges to the 98 % quantile, where both steps balance, and follows an increase of 10 µs within about 200
+#: longer wake-ups.
 LONGER, SHORTER = 49, 1
 #: First estimate of the wake-up time [ns].
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: The loop waits for the readers after it has skipped (ring length / ``CATCH_UP``) samples in a row; ``BREATH`` is the
-#: duration of this wait [ns].
+#: After (ring length / ``CATCH_UP``) consecutive skipped samples, the loop waits ``BREATH`` [ns] for the readers.
 CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
@@ -198,7 +198,7 @@ LEAD = 5_000_000
 if COMPILED:
     from numba import types
 
-    # called by symbol, not by ctypes, because an address in this process cannot be cached with the code
+    # called by symbol, because an address from ctypes is valid only in this process and cannot be cached with the code
     _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     _nanosleep: Any = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
@@ -247,11 +247,11 @@ def pause(state, timespec):
 
 @nested
 def note_wake(state, late):
-    """Adapt the time ahead to a wake-up that came ``late`` [ns] after the requested instant."""
+    """Adapt the start of polling to a wake-up that came ``late`` [ns] after the requested instant."""
     if state[MOST_AHEAD] == 0:
         return
     state[WAKE] = max(state[WAKE] + (LONGER if late > state[WAKE] else -SHORTER), 0)
-    # the computation of a sample needs the core, too
+    # the computation of a sample also needs time on the core
     most = state[MOST_AHEAD] - state[BUSY] // max(state[HEAD], 1)
     state[AHEAD] = max(min(state[WAKE], most), 0)
 
@@ -285,7 +285,7 @@ def note_lateness(state, histogram, late):
 
 @nested
 def take_setpoint(own, i):
-    """Write a new setpoint of the schedule into an axis' column, unless the axis has already received a setpoint."""
+    """Write a due setpoint of the schedule into an axis' column, unless the axis has already received a setpoint."""
     counts, schedule = own.counts[i], own.schedule
     index = counts[SCHEDULED]
     while counts[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= own.state[SAMPLE]:
@@ -297,7 +297,7 @@ def take_setpoint(own, i):
 
 @nested
 def take_post(own, i, motor):
-    """Read all requests to an axis since the last sample; write the requested changes behind its row in the column.
+    """Read all requests to an axis since the last sample; write its starts and stops after its row in the column.
 
     Each post contains all requests so far, so several posts between two samples act as one. The table of a post is
     complete before its number is written, and the table is overwritten POSTS posts later.
@@ -322,7 +322,7 @@ def take_post(own, i, motor):
 
 @nested
 def log_switches(own, i):
-    """Log the changes of an axis before the next sample."""
+    """Log the starts and stops of an axis before the next sample."""
     state, first = own.state, own.row.shape[1]
     for place in range(first, first + MOST_SWITCHES):
         if own.column[i, place, 0] != NOTHING:
@@ -333,7 +333,7 @@ def log_switches(own, i):
 
 @nested
 def make_switches(laws, parts, column):
-    """Execute the changes that are written behind the row of one axis."""
+    """Execute the starts and stops that follow the row of one axis."""
     for place in range(column.shape[0] - MOST_SWITCHES, column.shape[0]):
         code = int(column[place, 0])
         if code != NOTHING:
@@ -342,13 +342,13 @@ def make_switches(laws, parts, column):
 
 @each
 def switch_axes(laws, parts, column):
-    """Execute the changes that are written behind the row of one axis of a stage."""
+    """Execute the starts and stops that follow the row of one axis of a stage."""
     make_switches(laws, parts, column)
 
 
 @by_part
 def switch_all(step, part, own):
-    """Execute the changes of all axes."""
+    """Execute the starts and stops of all axes."""
 
 
 @by_part
@@ -363,7 +363,7 @@ def keep_joints(step, part, numbers):
 
 @nested
 def _switch_alone(step, part, own):
-    """Execute the changes of the axis."""
+    """Execute the starts and stops of the axis."""
     make_switches(part.laws, part.parts, own.column[0])
 
 
@@ -381,7 +381,7 @@ def _keep_alone(step, part, numbers):
 
 @nested
 def _switch_together(step, part, own):
-    """Execute the changes of all axes of the stage."""
+    """Execute the starts and stops of all axes of the stage."""
     switch_axes(part.laws, part.parts, own.column)
 
 
@@ -419,7 +419,8 @@ def pace(step, part, own, motor):
     axes = own.column.shape[0]
     now = clock(timespec)
     if state[ORIGIN] == 0:
-        # the call of this function takes milliseconds for the arrays of a stage, so the time starts inside the function
+        # for the arrays of a stage, calling this function takes milliseconds, so time starts here and not before the
+        # call
         state[ORIGIN] = now + LEAD - deadline_of(state)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
         if state[PAUSE] != state[RESUMED]:
@@ -461,7 +462,8 @@ def pace(step, part, own, motor):
         state[AT_WORK] = 0
         state[BUSY] += spent
         state[BUSIEST] = max(state[BUSIEST], spent)
-        # the preceding call is opaque to the compiler, so the compiler cannot move this store before the end of the row
+        # the preceding call is opaque to the compiler, which therefore cannot move this store before the row is
+        # complete
         state[HEAD] += 1
         state[SAMPLE] += 1
         if state[IN_ROW] * CATCH_UP >= own.rows.shape[0]:
@@ -480,13 +482,13 @@ class Samples(NamedTuple):
     times: np.ndarray  #: Start of each sample [ns since 1970], whole numbers, shape (N,).
     #: Positions [m], velocities [m/s] and efforts [N] of a motor's joints, shape (JOINT_NUMBERS, N).
     joints: np.ndarray | None
-    lost: int  #: Number of samples before the first one that were overwritten unread.
+    lost: int  #: Number of samples before the first one that were overwritten before they were read.
 
 
 class Lateness(NamedTuple):
     """Lateness of the samples, including skipped ones, and their computing time."""
 
-    #: p50, p90, p99, p999, max: quantiles of the lateness [s]; all but the last are accurate to 2 %.
+    #: p50, p90, p99, p999, max: quantiles and maximum of the lateness [s]; quantiles are accurate to 2 %.
     p50: float
     p90: float
     p99: float
@@ -496,7 +498,7 @@ class Lateness(NamedTuple):
     samples: int  #: All samples.
     cost: float  #: cost, highest_cost: mean and largest computing time of a sample [s].
     highest_cost: float
-    ahead: float  #: Present time ahead of a deadline from which the thread polls the clock [s].
+    ahead: float  #: Present time before a deadline at which the thread begins to poll the clock [s].
     looked: float  #: Mean time of polling per sample [s].
 
 
@@ -510,7 +512,7 @@ class Reader:
         self._next = int(own.state[HEAD])
 
     def take(self, until: int | None = None) -> Samples:
-        """Return all samples since the last call, or only the samples before number ``until``; possibly none."""
+        """Return all samples since the last call, or only those before number ``until``; the result may be empty."""
         state, rows = self._own.state, self._own.rows
         size = len(rows)
         head = int(state[HEAD])
