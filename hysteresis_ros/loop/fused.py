@@ -66,8 +66,7 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Set priority and core of the calling thread, and lock the process in RAM; return a text about refused
-    settings."""
+    """Set priority and core of the calling thread, lock the process in RAM; return a text with the refused settings."""
     library = ctypes.CDLL(None, use_errno=True)
     # without this the kernel may delay the wake-up of a thread without priority by 50 µs to save energy
     if hasattr(library, "prctl"):

@@ -62,8 +62,7 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return node and action of each part that a code starts or stops; not of a sequencer, which gets a stop
-    request."""
+    """Return node and action of each part that a code starts or stops; a sequencer gets a stop request instead."""
     codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
     return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 

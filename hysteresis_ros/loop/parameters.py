@@ -9,7 +9,7 @@
 
 """Parameters of an axis: the parameters of each node, read from a configuration and checked against each other.
 
-The parameters are here and not in the nodes, because the offline twin reads the same files.
+The parameters are here and not in the nodes, because the offline twin reads the same parameter files.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from hysteresis_ros.signals import ACTUATOR, COMPENSATOR, CONTROLLER, INCHWORM, 
 
 @dataclass(frozen=True)
 class NodeParameters(Parameters):
-    """Common parameters of all nodes of an axis; normally given once, under ``/**``."""
+    """Parameters that all nodes of an axis have in common; normally given once, under ``/**``."""
 
     sample_rate: float = parameter(
         1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="sample rate of the axis"
@@ -63,8 +63,8 @@ class NodeParameters(Parameters):
         "realtime",
         choices=("realtime", "lockstep", "fused"),
         read_only=True,
-        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, without "
-        "real time; fused: all nodes in one process, one compiled thread runs the loop in real time",
+        description="realtime: the plant sets the sample times; lockstep: each sample waits for its answer, without "
+        "real time; fused: all nodes are in one process, in which one compiled thread runs the loop in real time",
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
     force_joint: str = parameter(
@@ -76,9 +76,7 @@ class NodeParameters(Parameters):
     use_sim_time: bool = parameter(
         False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
     )
-    exit_at_end: bool = parameter(
-        False, read_only=True, description="exit at the end of the run, which the plant publishes"
-    )
+    exit_at_end: bool = parameter(False, read_only=True, description="exit when the plant publishes the end of the run")
     partner_timeout: float = parameter(
         10.0,
         unit="s",
@@ -90,7 +88,7 @@ class NodeParameters(Parameters):
     faults: tuple[str, ...] = parameter(
         (),
         read_only=True,
-        description="injected faults, each 'NAME:START:DURATION[:VALUE]', times in seconds of the axis' own time; "
+        description="injected faults, each 'NAME:START:DURATION[:VALUE]', with times in seconds of the axis' own time; "
         "for all nodes, under '/**'",
     )
     queue_depth: int = parameter(
@@ -103,7 +101,7 @@ class NodeParameters(Parameters):
     external_plant: bool = parameter(
         False,
         read_only=True,
-        description="realtime: a node of the user publishes joint_states instead of plant_simulator; the reference "
+        description="realtime: your own node publishes joint_states instead of plant_simulator; the reference "
         "generator begins and ends the run; for all nodes, under '/**'",
     )
 
@@ -111,7 +109,7 @@ class NodeParameters(Parameters):
         "reliable",
         choices=("reliable", "best_effort"),
         read_only=True,
-        description="reliability of the subscription to joint_states: best_effort if the user's driver publishes as "
+        description="reliability of the subscription to joint_states: best_effort if your own driver publishes as "
         "best effort; realtime only",
     )
 
@@ -135,19 +133,19 @@ class NodeParameters(Parameters):
 
 
 def part(parameters: Parameters, cls):
-    """Return the parameters of class ``cls`` that a node's parameters contain; each call returns the same instance."""
+    """Return the parameters of class ``cls`` within the parameters of a node; each call returns the same instance."""
     kept = parameters.__dict__.setdefault("_parts", {})
     if cls not in kept:
         kept[cls] = cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
     return kept[cls]
 
 
-#: Default limit of late voltages: ``LATE_PART`` of the samples in a second, but at least ``LEAST_LATE``.
+#: Default limit of late voltages: the fraction ``LATE_PART`` of the samples in a second, but at least ``LEAST_LATE``.
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
-#: Largest fraction of a period for which a fused loop may poll the clock. Linux needs some time on each core: at
-#: fractions of about 0.75 or more it interrupted the loop for 50 ms in each second (measured at 50 kHz).
+#: Largest fraction of a period in which a fused loop may poll the clock. Linux needs some time on each core: with
+#: fractions of about 0.75 or more it interrupted the loop for up to 50 ms in each second (measured at 50 kHz).
 SPIN_PART = 0.6
 
 
@@ -166,7 +164,7 @@ class RealtimeParameters(Parameters):
         -1, low=-1, high=4095, read_only=True, description="fused: processor core of the loop's thread; -1: any"
     )
     lock_memory: bool = parameter(
-        False, read_only=True, description="fused: lock the process in RAM, so that no sample waits for the disk"
+        False, read_only=True, description="fused: lock the process in RAM, so that no sample waits for paging"
     )
     spin: float = parameter(
         -1.0,
@@ -175,7 +173,7 @@ class RealtimeParameters(Parameters):
         high=0.01,
         read_only=True,
         description="fused: time before each deadline from which the loop's thread polls the clock instead of "
-        "sleeping; 0: off; below 0: automatic, as long as the core takes to wake up, if priority was permitted and a "
+        "sleeping; 0: off; below 0: automatic, about the wake-up time of the core, if priority was permitted and a "
         "core is left for the nodes",
     )
     force: bool = parameter(
@@ -196,7 +194,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         "actuator",
         choices=("actuator", "inchworm", "camera"),
         read_only=True,
-        description="one actuator; an inchworm motor; or an actuator observed by a camera: the plant publishes "
+        description="one actuator; an inchworm motor; or an actuator that a camera observes: the plant publishes "
         "images, from which displacement_camera computes joint_states",
     )
     camera: SimulatedCameraParameters = group(SimulatedCameraParameters, variant_of="type")
@@ -213,7 +211,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     driver_options: tuple[str, ...] = parameter(
         (),
         read_only=True,
-        description="options for opening a driver given by its path, each 'NAME=VALUE'",
+        description="options of a driver that is given by its path, each 'NAME=VALUE'",
         place="start",
     )
     scan_clock: bool = parameter(
@@ -225,7 +223,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         False, read_only=True, description="whether the device of a driver outputs the triggers of the axis"
     )
     trigger_input: bool = parameter(
-        False, read_only=True, description="whether pulses at the input of a driver's device act on the axis"
+        False, read_only=True, description="whether pulses at the trigger input of a driver's device act on the axis"
     )
     triggers: TriggerParameters = group(TriggerParameters)
     calibration: CalibrationParameters = group(CalibrationParameters)
@@ -260,31 +258,31 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         0,
         low=-1,
         high=10**9,
-        description="number of late voltages, in a row or within a second, above which the axis goes to its safe state "
-        "until ~/start; 0: 5 % of the samples in a second, but at least 20; -1: no limit, and a voltage that answers "
-        "an earlier sample is output too",
+        description="allowed number of late voltages, in a row or within a second; above it the axis goes to its safe "
+        "state until ~/start; 0: 5 % of the samples in a second, but at least 20; -1: no limit, and voltages that "
+        "answer earlier samples are output too",
     )
     overtravel: float = parameter(
         0.0,
         unit="m",
         low=-1.0,
         high=1.0,
-        description="actuator: distance of a measurement beyond the static range above which the axis goes to its safe "
-        "state until ~/start; 0: one stroke; below 0: no limit",
+        description="actuator: allowed distance of a measurement beyond the static range; above it the axis goes to "
+        "its safe state until ~/start; 0: one stroke; below 0: no limit",
     )
     realtime: RealtimeParameters = group(RealtimeParameters)
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
     wait_for_recorder: bool = parameter(
         False,
         read_only=True,
-        description="begin when a recorder is running; lockstep: run at most `lead` samples ahead of it",
+        description="begin only when a recorder is running; lockstep: run at most `lead` samples ahead of it",
     )
     lead: int = parameter(
         100,
         low=32,
         high=900,
         read_only=True,
-        description="lockstep: largest lead of the plant over the recorder, in samples",
+        description="lockstep: number of samples by which the plant may be ahead of the recorder",
     )
 
     @property
@@ -342,7 +340,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             yield Problem("driver", self.driver, "the plant is already external: remove driver")
         if self.time_mode == "lockstep":
             remedy = (
-                "a device does not wait for nodes: give time_mode: realtime, or remove driver for the simulated plant"
+                "a device does not wait for nodes: give time_mode: realtime, or remove driver to simulate the plant"
             )
             yield Problem("driver", self.driver, remedy)
         if self.real_time_factor != 1.0:
@@ -356,7 +354,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     def _trigger_problems(self):
         for name in ("trigger_output", "trigger_input"):
             if getattr(self, name) and not self.driver:
-                remedy = "belongs to the device of a driver; without one use the topics trigger_out, trigger_in"
+                remedy = "needs the device of a driver; without a driver use the topics trigger_out, trigger_in"
                 yield Problem(name, True, remedy)
 
     def _spin_problems(self):
@@ -386,7 +384,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         elif self.driver_options:
             yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
         if self.type == "camera" and self.time_mode == "fused":
-            remedy = "the thread of a fused loop has no time to evaluate frames: give time_mode: realtime or lockstep"
+            remedy = "a fused loop has no time to evaluate frames: give time_mode: realtime or lockstep"
             yield Problem("time_mode", self.time_mode, remedy)
         if self.force_sensor.there and self.type != "actuator":
             remedy = f"a force sensor needs type actuator; give 0 with type {self.type}"
@@ -423,7 +421,7 @@ class CommandRangeParameters(Parameters):
         return self.command_minimum, self.command_maximum
 
     def check(self):
-        """Yield a Problem when the range is empty."""
+        """Yield a Problem if the range is empty."""
         yield from super().check()
         low, high = self.command_range
         if not low < high:
@@ -444,12 +442,12 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
         0, low=0, high=10**12, read_only=True, description="external_plant: length of the run in samples; 0: no end"
     )
     wait_for_recorder: bool = parameter(
-        False, read_only=True, description="external_plant: begin when a recorder is running"
+        False, read_only=True, description="external_plant: begin only when a recorder is running"
     )
 
     @property
     def fastest(self) -> float:
-        """Largest velocity of the reference [m/s]; without limits on steps, the whole range in a sample."""
+        """Largest velocity of the reference [m/s]; without a limit, the whole range within a sample."""
         return self.approach.maximum_velocity or (self.maximum - self.minimum) * self.sample_rate
 
     def trigger_problems(self):
@@ -523,10 +521,13 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         unit="m",
         low=0.0,
         high=1.0,
-        description="largest plausible change of the measurement per sample; 0: no limit",
+        description="largest plausible change from one measurement to the next; 0: no limit",
     )
     spike_samples: int = parameter(
-        3, low=2, high=10**6, description="number of samples in a row after which a larger change is accepted"
+        3,
+        low=2,
+        high=10**6,
+        description="number of consecutive measurements beyond spike_limit, of which the last is accepted",
     )
     frozen_samples: int = parameter(
         0,
@@ -626,7 +627,7 @@ class RecorderNodeParameters(NodeParameters):
         low=0.01,
         high=0.5,
         read_only=True,
-        description="interval at which recorded data are written to the operating system at the latest",
+        description="longest interval after which recorded data are written to the operating system",
     )
     max_bag_size: int = parameter(
         0,
@@ -656,7 +657,7 @@ class RecorderNodeParameters(NodeParameters):
         unit="B",
         low=0,
         high=10**15,
-        description="free space on the disk below which it ends the recording, but not the axis",
+        description="free space on the disk below which the recording ends; the axis continues",
     )
 
 
@@ -672,8 +673,8 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 }
 
 
-#: Sample rate in wall-clock time [Hz] up to which nodes that exchange messages are almost always in time (0.25 % of the
-#: voltages are late, docs/real_time.md); and the rate above which such a loop is refused (at 1 kHz, 3 to 12 % of the
+#: Sample rates in wall-clock time [Hz]: up to the first, nodes that exchange messages are almost always in time (0.25 %
+#: of the voltages are late, docs/real_time.md); above the second, such a loop is refused (at 1 kHz, 3 to 12 % of the
 #: voltages are late).
 MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
 #: Maximum number of samples of a run; a counter in double precision is not exact for more samples.
@@ -715,7 +716,7 @@ def _camera_mismatches(plant, camera) -> list[Problem]:
 
 
 def _adaptation_problems(controller, compensator):
-    """Yield a Problem when the adaptation would identify known dynamics as hysteresis."""
+    """Yield a Problem if the adaptation would learn known dynamics as hysteresis."""
     adaptation = compensator.adaptation
     if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
         remedy = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
@@ -727,7 +728,7 @@ def _adaptation_problems(controller, compensator):
 
 
 def _force_problems(plant, controller):
-    """Yield a Problem when a damping law needs a force that this axis does not measure."""
+    """Yield a Problem if a damping law needs a force that this axis does not measure."""
     simulated = not plant.driver and not plant.external_plant
     if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
         remedy = (
@@ -749,13 +750,13 @@ TIMEOUTS = {
 def _device_trigger_problems(plant, name: str, source, controller):
     """Yield a Problem if the triggers that the device outputs are missing, or if its trigger input has no effect."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
-        remedy = f"differ from the triggers of the {name}: remove them here; the triggers of the {name} are then used"
+        remedy = f"differ from the triggers of {name}: remove them here; those of {name} are then used"
         yield Problem("plant_simulator: triggers", name, remedy)
     if plant.trigger_output and not source.triggers.makes_events:
-        remedy = f"there are no triggers: give {name} triggers"
+        remedy = f"the axis has no triggers: give {name} triggers"
         yield Problem("plant_simulator: trigger_output", plant.trigger_output, remedy)
     if plant.trigger_input and source.triggers.input.action == "none" and not controller.quiet.on_trigger:
-        remedy = f"it has no effect: give {name} triggers.input.action, or motion_controller quiet.on_trigger"
+        remedy = f"has no effect: give {name} triggers.input.action, or motion_controller quiet.on_trigger"
         yield Problem("plant_simulator: trigger_input", plant.trigger_input, remedy)
 
 
@@ -764,7 +765,7 @@ def _short_timeouts(parts):
     for name, timeout in TIMEOUTS:
         node = parts[name]
         if node is not None and getattr(node, timeout) * node.sample_rate < 1.0:
-            least = f"shorter than a sample of {1.0 / node.sample_rate:g} s: give at least that"
+            least = f"must be at least one sample, {1.0 / node.sample_rate:g} s"
             yield Problem(f"{name}: {timeout}", getattr(node, timeout), least)
 
 
@@ -778,7 +779,7 @@ def _fault_problems(plant, motor: bool):
 
 
 def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
-    """Return a controller's parameters; without a given range, commands may exceed the compensator's by one stroke."""
+    """Return a controller's parameters; by default, commands may exceed the compensator's by one stroke."""
     if controller.command_minimum != controller.command_maximum:
         return controller
     amplifiers = () if plant.external_plant else (plant.limits,)
@@ -795,8 +796,8 @@ class AxisParameters:
     namespace: str  #: Namespace with a leading slash; empty for the root.
     #: plant_simulator, motion_controller, hysteresis_compensator, recorder: Typed parameters of each node.
     plant_simulator: PlantNodeParameters
-    #: reference_generator, inchworm_sequencer: An axis has one of the two: with a section ``inchworm_sequencer`` it has
-    #: no reference generator.
+    #: reference_generator, inchworm_sequencer: An axis has one of the two, the second if it has a section
+    #: ``inchworm_sequencer``.
     reference_generator: ReferenceNodeParameters | None
     motion_controller: ControllerNodeParameters
     hysteresis_compensator: CompensatorNodeParameters
@@ -833,7 +834,7 @@ class AxisParameters:
                 parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
             except ParameterError as error:
                 problems += error.problems
-        # the sections of the other nodes may come from options of a command, which apply to every namespace
+        # only these two: options of a command may add sections of other nodes to every namespace
         described = any(configuration.describes(name, namespace) for name in (CONTROLLER, COMPENSATOR))
         there = configuration.namespaces()
         if problems and not described and namespace not in there:
@@ -892,7 +893,7 @@ class AxisParameters:
         if not 0.0 < duration < float("inf"):
             raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:
-            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; shorten it")
+            raise ConfigurationError(f"duration = {duration:g} s: too many samples to count; give a shorter duration")
         samples = max(round(duration * self.plant_simulator.sample_rate), 1)
         changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
         if not self.plant_simulator.external_plant:
@@ -949,7 +950,7 @@ class AxisParameters:
         return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
 
     def timeouts(self, travel: tuple[float, float] | None = None) -> list[str]:
-        """Return a line for each time-out: its name, its length in seconds and samples, and its effect.
+        """Return a line for each time-out, with its name, its length in seconds and samples, and its effect.
 
         On a stage, ``travel`` is the axis' allowed range of the measurement [m], which depends on the other axes.
         """

@@ -11,13 +11,14 @@
 
 A voltage that is not received in time is late: the last voltage is held, and the sample is counted. After
 ``voltage_timeout`` without a voltage, the output goes to its safe value; when voltages arrive again, the output returns
-without a jump. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed:
-the plant *trips*. It goes to its safe voltage and stops the axis until the axis is started again. The plant also trips
-when an actuator's measurement is far beyond its static range: only an unstable loop can move the actuator there.
+without a jump. With more than ``late_limit`` late voltages in a row, or within a second, the loop counts as open: the
+plant *trips*, that is, it goes to its safe voltage and stops the axis until the axis is started again. The plant also
+trips when the measurement of an actuator is far beyond the static range, which only an unstable loop or a wrong sensor
+can cause.
 
 A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in which the
-frame is taken; between nodes, frames are messages. Both evaluations run in Python, because a sample with a frame takes
-a thousand times as long as any other sample.
+frame is taken; between nodes, frames are messages. Such samples run in Python, because evaluating a frame takes a
+thousand times as long as any other sample.
 
 On a stage, all axes stop when the plant of one axis trips. :func:`hysteresis_ros.loop.stage.stage_ticks` applies this
 rule in the compiled loop, and :mod:`hysteresis_ros.nodes.stage` applies it between nodes.
@@ -118,13 +119,13 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 
-# Parameters of the trip: allowed number of late voltages (0: no limit); number by which each sample decreases the count
-# of late voltages; allowed range of the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
+# Parameters of the trip: allowed number of late voltages (0: no limit); decrease of the decaying count of late voltages
+# in each sample; allowed range of the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a failed device (only a
-# start clears this reason); a lost node of the axis.
+# Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a failed device (kept until
+# a start, whatever follows); a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
 # A relative sensor is being homed: this reason ends by itself, and any other reason replaces it.
 FINDING_HOME = -1
@@ -137,9 +138,9 @@ TRIP_STATES = 5
 
 @kernel
 def watch(p, x, late, measured):
-    """Count a sample whose voltage was late (1) or not (0); trip on too many late voltages, or on excessive travel.
+    """Count the sample if its voltage is late (``late`` 1); trip on too many late voltages, or on overtravel.
 
-    An unstable loop oscillates at its resonance, far beyond the range that constant voltages reach.
+    An unstable loop oscillates far beyond the range that constant voltages reach.
     """
     x[LATE] += late
     x[IN_ROW] = (x[IN_ROW] + 1.0) * late
@@ -152,7 +153,7 @@ def watch(p, x, late, measured):
 
 @kernel
 def is_missing(x, voltage):
-    """Return 1.0 when no voltage was received in this sample although one was received before; otherwise 0.0."""
+    """Return 1.0 if this sample has no voltage although an earlier sample had one; otherwise 0.0."""
     return 1.0 if x[HELD_BEGUN] != 0.0 and voltage - voltage != 0.0 else 0.0
 
 
@@ -170,7 +171,7 @@ def plant_mode(p, x, trip, late):
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
     """Return the output voltage [V] for the received voltage (NaN: no voltage), after all monitoring.
 
-    All of this is one function, so that a node needs only one call from Python.
+    This is one function, so that a node needs only one call from Python.
     """
     late = is_missing(hold_x, voltage)
     watch(trip_p, trip_x, late, measured)
@@ -198,7 +199,7 @@ def sense_actuator(laws, arrays, row):
 
 @nested
 def sent(row, place):
-    """Return one of the voltages of a row [V]; NaN in a skipped sample, because its voltage was never sent."""
+    """Return one of the voltages of a row [V]; NaN in a skipped sample, which has no voltage."""
     return math.nan if row[at.SKIPPED] != 0.0 else row[place]
 
 
@@ -242,9 +243,9 @@ def sense_motor(laws, arrays, row):
 def actuate_motor(laws, arrays, row):
     """Hold three voltages on a motor.
 
-    A safe state never opens a clamp, because a free slider would fall. A clamp goes to its initial voltage, or keeps
-    its present voltage if this is higher. The gait always keeps one clamp closed; on the way back from the safe state,
-    a clamp opens only when the other clamp has the gait's voltage.
+    A safe state never opens a clamp, because a free slider would fall. Each clamp goes to its initial voltage, or keeps
+    its present voltage if that is higher. The gait always keeps one clamp closed; after a safe state, a clamp opens
+    only when the other clamp has reached the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -297,7 +298,7 @@ class Plant:
     """Base class of the plants of an axis, with the monitoring of their voltages."""
 
     arrays: Any  #: All arrays of the plant in the loop; their class selects the kernel of :data:`sense`.
-    kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of the actuators; a missing one is a placeholder.
+    kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of the actuators, or placeholders.
     kind = at.ACTUATOR  #: Kind of the axis.
     joint_numbers = 0  #: Number of values of ``joint_states`` that are not in the row.
 
@@ -315,7 +316,7 @@ class Plant:
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] of the three inputs before the first one is received; 0 for inputs that an actuator lacks."""
+        """Voltages [V] of the three inputs before a voltage is received; 0 for inputs that an actuator lacks."""
         return 0.0, 0.0, 0.0
 
     @property
@@ -345,7 +346,7 @@ class Plant:
         own = self.parameters.joint
         return (own, self.parameters.force_joint) if self.measures_force else (own,)
 
-    #: Message of the device error that has stopped the axis, and message about an invalid last reading; empty: none.
+    #: Messages: the device error that has stopped the axis, and why the last reading is invalid; empty: neither.
     failure = complaint = ""
 
     #: The node whose loss has stopped the axis.
@@ -357,10 +358,10 @@ class Plant:
     #: Whether the force in the stack is measured in addition to the displacement.
     measures_force = False
 
-    #: Rounding [V] of the output that the plant reports before each sample; infinite: no output is reported.
+    #: Quantisation step [V] of the output that the plant reports before each sample; infinite: no output is reported.
     rounding = math.inf
 
-    #: Whether the output slews from the safe to the received voltage, beginning with the first sample.
+    #: Whether the first sample starts at the safe voltage, from which the output slews to the received voltage.
     begins_safe = False
 
     #: Whether the samples of this plant run in machine code.
@@ -372,7 +373,7 @@ class Plant:
     #: Duration of a sample after which the device counts as blocked [s].
     patience = 0.5
 
-    #: Indices in the row of additional inputs of a run with this plant.
+    #: Indices in the row of the additional inputs that a run with this plant has.
     given: tuple[int, ...] = ()
 
     @property
@@ -417,7 +418,7 @@ class Plant:
             x[HELD_BEGUN] = 1.0
 
     def count_late(self) -> None:
-        """Count a voltage as late although it is output."""
+        """Count as late a voltage that is output nevertheless."""
         self._watch_x.trip[LATE] += 1.0
 
     def held(self, input_: int = 0) -> float:
@@ -438,7 +439,7 @@ class Plant:
         self.forgive()
 
     def recover(self) -> bool:
-        """Make a device safe before a start, outside the loop's thread; return whether it was unsafe."""
+        """Make a device safe before a start, outside the loop's thread; return whether it had not been safe."""
         return False
 
     def lose(self, name: str) -> None:
@@ -478,7 +479,7 @@ class Plant:
         raise ParameterError([Problem("driver", "", "a simulated sensor is absolute: there is nothing to home")])
 
     def refresh(self) -> None:
-        """Repeat the output of a device, so that the device's watchdog does not act in a pause between samples."""
+        """Repeat the output of a device between samples, so that the device's watchdog does not act."""
 
     def output_clock(self, edges: at.Edge) -> None:
         """Output the scan edges of this sample; a simulated plant has no outputs for them."""
@@ -514,7 +515,7 @@ class ActuatorPlant(Plant):
 
     @property
     def rounding(self) -> float:
-        """Rounding [V] of the output voltage."""
+        """Quantisation step [V] of the output voltage."""
         return float(self.arrays.p.limits[limiting.STEP])
 
     @property
@@ -619,7 +620,7 @@ class CameraPart:
         self.parameters = parameters
 
     def reset(self) -> None:
-        """Restart with the next frame, from which relative positions are counted again."""
+        """Restart with the next frame, which defines the zero of relative positions again."""
         self.tracker.reset()
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -627,7 +628,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant; also the part that evaluates its frames, unless a camera node does so."""
+    """The camera of a plant, and the part that evaluates its frames unless a camera node does so."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera
@@ -635,7 +636,7 @@ class Eye:
         self.frame: np.ndarray | None = None
 
     def look(self, displacement: float) -> float:
-        """Take a frame at a displacement [m] and return the displacement found [m]; NaN: a node evaluates the frame."""
+        """Take a frame at a displacement [m] and return the displacement in it [m]; NaN: a node evaluates it."""
         self.frame = self.camera.take(displacement)
         return math.nan if self.part is None else self.part.tracker.see(self.frame)[0]
 

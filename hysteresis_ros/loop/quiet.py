@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Quiet hold: the command stands still for a time, so that neither sensor noise nor quantisation moves the actuator.
+"""Quiet hold: the command is constant for a time, so that neither sensor noise nor quantisation moves the actuator.
 
-The loop first continues for ``quiet.average`` while the difference between its command and the reference is averaged,
-because a single command contains the noise of its sample. In a second interval of this length, the deviation of the
-command from this mean decays to zero, so that a resonance that the loop damps does not ring when the command stands
-still. The compensator still computes a voltage for each sample, so the voltage compensates the creep that its model
-predicts. At the end the controller continues with the states that it had before: its reference moves from the mean of
-the last measurements to the received reference, and its command starts at the held command.
+For ``quiet.average`` the loop continues, and the mean of command minus reference is computed, because a single command
+contains the noise of its sample. In a second interval of this length, the deviation of the command from this mean
+decays to zero, so that a resonance that the loop damps does not ring when the command becomes constant. The compensator
+still computes a voltage for each sample, which compensates the creep that its model predicts. At the end the controller
+continues with the states that it had before: its reference moves from the mean of the last measurements to the received
+reference, and its command starts at the held command.
 
 The drift of a quiet hold is the creep that the model does not compensate. It is assumed to be a fraction
 (``quiet.creep_uncertainty``) of the creep that the model predicts from its present state.
@@ -35,7 +35,7 @@ from hysteresis_ros.models.block import interpreted, kernel
 from hysteresis_ros.models.creep import DECAYS, OPERATOR, OPERATORS, OUTPUT, Creep, creep_inverse
 from hysteresis_ros.units import quantity_in, readable
 
-#: Name of the change and of the service; names of the numbers in a request.
+#: Name of the change and of the service, and names of the numbers in a request.
 QUIET, DURATION, TOLERANCE = "quiet", "duration", "tolerance"
 #: Longest quiet hold, and longest horizon of a forecast [s].
 LONGEST = 1e5
@@ -43,16 +43,16 @@ LONGEST = 1e5
 INSTANTS = 2000
 
 # Own parameters of the controller's part, after the parameters of :mod:`.controller`.
-AVERAGED = 8  # number of samples whose commands are averaged; the command then fades to the mean in as many samples
-ON_PULSE = 9  # number of samples of the hold that a pulse of the trigger input begins; 0: a pulse begins no hold
+AVERAGED = 8  # number of samples whose commands are averaged; the command moves to the mean in as many samples
+ON_PULSE = 9  # length of a hold that a pulse of the trigger input begins [samples]; 0: a pulse begins no hold
 OWN_PARAMETERS = 10
 
 # Own state of the controller's part, after the state of :mod:`.controller`.
-AHEAD = 9  # samples until the command stands still
+AHEAD = 9  # samples until the command is constant
 LEFT = 10  # samples until the hold ends
-SUM = 11  # sum of command minus reference so far [m], over COUNT samples
+SUM = 11  # sum of command minus reference over COUNT samples [m]
 COUNT = 12
-COMMAND = 13  # the command that stands still [m]
+COMMAND = 13  # the constant command [m]
 REFERENCE = 14  # last reference [m]
 AT_REST = 15  # 1 while the reference has not moved since the request
 CONTINUES = 16  # 1: the controller continues with the states that it had before the hold
@@ -70,7 +70,7 @@ class QuietParameters(Parameters):
         unit="s",
         low=0.0,
         high=60.0,
-        description="time over which the command is averaged, at least two samples; it then moves to this mean, in the "
+        description="time over which the command is averaged, at least two samples; it then moves to this mean in the "
         "same time, and is held",
     )
     on_trigger: float = parameter(
@@ -91,7 +91,7 @@ class QuietParameters(Parameters):
 
 @kernel
 def begin_quiet(own_p, own, samples):
-    """Begin a quiet hold of this number of samples; 0 ends the present hold."""
+    """Begin a quiet hold of ``samples`` samples; 0 ends the present hold."""
     standing = own[LEFT] > 0.0 and own[AHEAD] == 0.0
     own[LEFT] = samples
     if samples == 0.0:
@@ -104,13 +104,13 @@ def begin_quiet(own_p, own, samples):
 
 @kernel
 def is_quiet(own):
-    """Tell whether the command stands still."""
+    """Tell whether the command is held constant."""
     return own[LEFT] > 0.0 and own[AHEAD] == 0.0
 
 
 @kernel
 def quietened(own_p, own, reference, command):
-    """Return the command [m] to send; before a quiet hold begins, average the commands, then fade to their mean."""
+    """Return the command [m] to send; before a quiet hold, average the commands, then move to their mean."""
     if own[AHEAD] == 0.0:
         return command
     if own[COUNT] > 0.0 and reference != own[REFERENCE]:
@@ -161,16 +161,16 @@ class Forecast:
         return self._decays.size > 0
 
     def creep(self, duration: float) -> float:
-        """Return the largest predicted creep within a time [s], without compensation [m]."""
+        """Return the largest creep [m] that the model predicts within a time [s] without compensation."""
         samples = self._samples[self._samples * self.sample_time < duration]
         return float(np.max(self._creep(np.append(samples, duration / self.sample_time)), initial=0.0))
 
     def _creep(self, samples: np.ndarray) -> np.ndarray:
-        """Return the predicted creep [m] after numbers of samples."""
+        """Return the predicted creep [m] after each of these numbers of samples."""
         return np.abs((1.0 - self._decays ** samples[:, np.newaxis]) @ self._weights)
 
     def longest(self, tolerance: float) -> float:
-        """Return the time [s] for which the drift stays within a tolerance [m]; infinite if it always does."""
+        """Return the time [s] for which the drift stays within a tolerance [m]; infinite if it exceeds LONGEST."""
         outside = np.flatnonzero(self.uncertainty * self._creep(self._samples) > tolerance)
         if not outside.size:
             return math.inf
@@ -178,7 +178,7 @@ class Forecast:
         return float(self._samples[first - 1]) * self.sample_time if first else 0.0
 
     def require(self, duration: float, tolerance: float = 0.0) -> None:
-        """Raise a ParameterError unless a quiet hold of a duration [s] stays within a tolerance [m] (0: no limit)."""
+        """Raise a ParameterError if a hold of ``duration`` [s] drifts by more than ``tolerance`` [m] (0: no limit)."""
         require_numbers(duration, tolerance)
         if not tolerance:
             return
@@ -200,7 +200,7 @@ class Forecast:
         raise ParameterError([Problem(f"{QUIET}: {DURATION}", duration, remedy, "s")])
 
     def describe(self, duration: float) -> str:
-        """Return a text with the predicted drift of a quiet hold of a duration [s]."""
+        """Return a text with the predicted drift of a quiet hold of ``duration`` [s]."""
         if not self.is_known:
             return "the drift is unknown: hysteresis_compensator has no creep model"
         creep = self.creep(duration)
@@ -209,12 +209,12 @@ class Forecast:
 
 
 def require_numbers(duration: float, tolerance: float = 0.0) -> None:
-    """Raise a ParameterError unless duration [s] and tolerance [m] of a quiet hold are possible."""
+    """Raise a ParameterError if duration [s] or tolerance [m] of a quiet hold is out of range."""
     if not 0.0 <= duration <= LONGEST:
         text = f"must be within 0 … {LONGEST:g} s; 0 ends a quiet hold"
         raise ParameterError([Problem(f"{QUIET}: {DURATION}", duration, text, "s")])
     if not 0.0 <= tolerance < math.inf:
-        text = "must be > 0 m, or 0 for any drift"
+        text = "must be ≥ 0 m; 0: any drift"
         raise ParameterError([Problem(f"{QUIET}: {TOLERANCE}", tolerance, text, "m")])
 
 
@@ -246,7 +246,7 @@ def parse_quiet(text: str) -> Quiet:
 
 
 def checked(quiet: Quiet) -> Quiet:
-    """Return a quiet hold whose numbers are possible; otherwise raise a ParameterError."""
+    """Return the quiet hold; raise a ParameterError if one of its numbers is out of range."""
     if not 0.0 <= quiet.start < math.inf:
         raise ParameterError([Problem(f"{QUIET}: start", quiet.start, "must be ≥ 0 s", "s")])
     require_numbers(quiet.duration, quiet.tolerance)

@@ -11,21 +11,21 @@
 
 The range is computed from the models of compensator and controller, because the parameters of a real plant are unknown.
 
-*Stroke*: the range of the compensator's hysteresis model within its limits, swept in both directions from rest without
-creep, times the DC gain of the controller's model. With inverse ``none`` the stroke is the nominal gain times the
-limits. Steps that briefly need more than the stroke are not refused.
+*Stroke*: the range of the compensator's hysteresis model, swept from rest to both voltage limits without creep, times
+the DC gain of the controller's model. With inverse ``none`` it is the nominal gain times the limits. Steps that briefly
+need more than the stroke are not refused.
 
-*Bandwidth* is checked for closed loops and waveforms with one fundamental f. Open loops, chirps, multisines and files
-are experiments and are not checked. The checks are:
+*Bandwidth* is checked for waveforms with one fundamental frequency f in closed loop. Open loops, chirps, multisines and
+files are experiments and are not checked. The checks are:
 
 - The command that produces the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
-  stroke. The limit is the stroke and not the -3 dB frequency: feedback and inverse dynamics work above that frequency
-  as long as the stroke suffices. Waveforms with jumps (square) are steps and not checked.
-- A response that lags by d samples (the relative degree) has an error of 2 sin(π f d Ts) times the amplitude. From f =
-  1/(6 d Ts) on, the error is larger than the amplitude. Only ``inverse_dynamics`` avoids this delay, by its preview.
+  stroke. The limit is the stroke and not the -3 dB frequency, because feedback and inverse dynamics work above that
+  frequency as long as the stroke suffices. Waveforms with jumps (square) are steps, and are not checked.
+- A response that lags by d samples (the relative degree) has an error of 2 sin(π f d Ts) times the amplitude. Above f =
+  1/(6 d Ts) the error is larger than the amplitude. Only the preview of ``inverse_dynamics`` avoids this delay.
 - The velocity of the waveform, divided by the mean gain of the model, must be within the slew rate of the voltage.
 
-For the other waveforms, and in open loop, the last check gives warnings. The velocity of a step is its height divided
+The last check also gives warnings for other waveforms and in open loop. The velocity of a step is its height divided
 by the time until the next step.
 """
 
@@ -50,10 +50,10 @@ from hysteresis_ros.references.waveforms import Waveform
 from hysteresis_ros.references.waveforms.file import LARGEST_TABLE
 from hysteresis_ros.units import micrometres, readable
 
-#: Tolerance of a reference beyond the stroke, as a fraction of the stroke, for rounding and integrated sweeps.
+#: Allowed distance of a reference beyond the stroke, as a fraction of the stroke, for rounding and integrated sweeps.
 TOLERANCE = 1e-4
-#: Tolerance of a fundamental's command beyond the stroke, as a fraction of the stroke, within which only the peaks of
-#: the waveform saturate.
+#: Allowed distance of the fundamental's command beyond the stroke, as a fraction of the stroke; within it, only the
+#: peaks of the waveform saturate.
 CUT_PEAKS = 0.1
 #: Smallest number of samples per period that resolves both extremes.
 FEWEST_SAMPLES = 4
@@ -67,7 +67,7 @@ def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
 
 
 def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
-    """Return |G| in SI units at ``turns`` cycles per sample; at 0 the gain keeps its sign."""
+    """Return |G| in SI units at ``turns`` cycles per sample; at 0 return the DC gain with its sign."""
     model = dynamics.state_space
     scale = dynamics.output_scale / dynamics.resolved_input_scale
     if turns == 0.0:
@@ -78,7 +78,7 @@ def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
 def check_reach(axis: AxisParameters) -> None:
     """Refuse a reference that the axis cannot follow."""
     if axis.plant_simulator.type != "actuator":
-        return  # a motor that walks gets its reference from the sequencer
+        return  # the reference of an inchworm motor comes from its sequencer
     given = part(axis.generator, ReferenceParameters)
     try:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
@@ -97,7 +97,7 @@ def check_reach(axis: AxisParameters) -> None:
 
 
 def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return the warnings about an axis: about the parameters of its nodes, and about setpoints that saturate."""
+    """Return the warnings about an axis: parameters of its nodes, setpoints that saturate, fast waveforms."""
     parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
     found = [
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
@@ -173,7 +173,7 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
     limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
     reached = f"{micrometres(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
     if not low - slack <= around <= high + slack:
-        remedy = f"{micrometres(around)} is out of range: the compensator's model reaches {reached}"
+        remedy = f"{micrometres(around)} is out of range: the range of the compensator's model is {reached}"
         yield Problem("reference_generator: initial_setpoint", around, remedy)
         return
     waveform = generator.waveform
@@ -182,7 +182,7 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
             name = given.waveform.shape.extent
             remedy = (
                 f"the waveform {given.waveform.type} around the setpoint {micrometres(around)} goes to "
-                f"{micrometres(value)}, out of range: the compensator's model reaches {reached}; change the "
+                f"{micrometres(value)}, out of range: the range of the compensator's model is {reached}; change the "
                 "waveform or widen the limits"
             )
             yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], remedy)
@@ -253,13 +253,13 @@ def _too_steep(axis, given: ReferenceParameters, generator: ReferenceGenerator, 
 
 
 def steep_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return the warnings about a waveform that the slew rate limits, or that has too few samples a period."""
+    """Return the warnings about a waveform that the slew rate limits, or that has too few samples per period."""
     given, rate = part(axis.generator, ReferenceParameters), axis.plant_simulator.sample_rate
     found = [*_too_steep(axis, given, ReferenceGenerator(given, 1.0 / rate), TOLERANCE)]
     waveform = given.waveform
     if waveform.shape.periodic and FEWEST_SAMPLES * waveform.frequency > rate:
         remedy = (
-            f"{rate / waveform.frequency:.3g} samples a period do not show the {waveform.type}; lower it to "
+            f"{rate / waveform.frequency:.3g} samples per period do not resolve the {waveform.type}; lower it to "
             f"{rate / FEWEST_SAMPLES:g} Hz, or raise sample_rate"
         )
         found.append(Problem("reference_generator: waveform.frequency", waveform.frequency, remedy))

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Prediction of when a move is ready: from then on, its displacement stays within a tolerance of the setpoint.
+"""Prediction of the time from which a move is ready: its displacement stays within a tolerance of the setpoint.
 
-The closed loop is simulated ahead of the move, with the models of controller and compensator as the plant. It is
-simulated once more for each usual deviation of a plant from its model: gain, width of the hysteresis loop, speed and
-creep. The displacement is assumed to be linear in these deviations. The deviations are estimated from the measurements
-of earlier moves (recursive least squares with forgetting), so a model that is wrong by some percent predicts well from
-the second move on. Many realisations of the noise at rest are added to the predicted displacement; the predicted time
-is the median over these realisations.
+The closed loop of the move is simulated in advance; its plant is the model of controller and compensator. The
+simulation is repeated for each of four deviations of the plant from this model: gain, width of the hysteresis loop,
+slowness and creep. The displacement is assumed to be linear in these deviations. They are estimated from the
+measurements of earlier moves (recursive least squares with forgetting), so a model with an error of some percent
+predicts well from the second move on. Many realisations of the noise at rest are added to the predicted displacement;
+the predicted time is the median over these realisations.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from hysteresis_ros.references.moves import Noise
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.signals import SOURCE
 
-#: Expected relative deviation of a plant from its model, for which the loop is simulated.
+#: Relative deviation of the plant from its model for which the loop is simulated.
 SIZE = 0.05
 #: Factors of gain, loop width, slowness and creep of each simulated plant; the first plant is the model.
 PLANTS = (
@@ -62,14 +62,13 @@ PLANTS = (
 ROUGHNESS = 0.3
 #: Weight of a move relative to the move after it.
 FORGETTING = 0.98
-#: Number of samples in a simulation of the noise at rest, and number of earlier samples in which the loop settles.
+#: Number of samples in a simulation of the noise at rest, and number of samples before them in which the loop settles.
 REST, SETTLING = 8192, 2000
 #: Number of realisations of the noise.
 REALISATIONS = 32
-#: Largest number of samples per call of the simulation; it is small so that a predicting thread soon releases the
-#: interpreter.
+#: Largest number of samples per call of the simulation, small enough for the thread to release the interpreter soon.
 CHUNK = 2048
-#: First and largest horizon of a prediction, and the time before a prediction during which the models follow the axis
+#: First and longest horizon of a prediction, and longest time before a move over which the models follow the axis
 #: [samples].
 NEAR, AHEAD, BEHIND = 256, 20_000, 512
 
@@ -77,7 +76,7 @@ NEAR, AHEAD, BEHIND = 256, 20_000, 512
 def model_of(
     source: ReferenceNodeParameters, controller: ControllerNodeParameters, compensator: CompensatorNodeParameters
 ) -> AxisParameters:
-    """Return an axis without a waveform, whose plant is the model of its controller and its compensator.
+    """Return an axis without a waveform, whose plant is the model of controller and compensator.
 
     Neither its measurements nor its references have the offset of a preload.
     """
@@ -120,9 +119,9 @@ def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float,
 
 
 def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
-    """Return the first sample from which errors [m], shape (N,), are within a tolerance [m] for ``dwell`` samples.
+    """Return the first sample from which errors [m], shape (N,), stay within a tolerance [m] for ``dwell`` samples.
 
-    The result is infinite if the errors do not stay within the tolerance for that long.
+    Infinite if they never do.
     """
     outside = np.flatnonzero(~(np.abs(error) <= tolerance))
     begins = np.concatenate([[0], outside + 1])
@@ -132,7 +131,7 @@ def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
 
 @dataclass(frozen=True)
 class RestingLoop:
-    """Response of a loop at rest to sensor noise, from the model, scaled to noise with a standard deviation of 1 m.
+    """Simulated response of a loop at rest to sensor noise, scaled to a standard deviation of the noise of 1 m.
 
     Parameters
     ----------
@@ -186,14 +185,14 @@ class Predictor:
     def predict(
         self, setpoint: float, after: int, tolerance: float, dwell: float, noise: Noise, path: dict | None = None
     ) -> float:
-        """Return the time from the first sample of a move until it is ready [s]; infinite: not foreseeable.
+        """Return the time from the first sample of a move until it is ready [s]; infinite: not within the horizon.
 
         Parameters
         ----------
         setpoint : float
             Setpoint [m], or last point of the trajectory.
         after : int
-            Number of samples between the beginnings of the last move and this move.
+            Number of samples from the beginning of the last move to the beginning of this move.
         tolerance : float
             Largest distance of the displacement from the setpoint [m].
         dwell : float
@@ -204,7 +203,8 @@ class Predictor:
             Points of a trajectory to the setpoint, as for :meth:`.ReferenceGenerator.follow`.
         """
         self._begin(setpoint, after, path)
-        # an error within the tolerance for half of the simulated time is assumed to stay within it
+        # a dwell time beyond half of the longest horizon is shortened to it: the error is assumed to stay within the
+        # tolerance
         samples, random = min(math.ceil(dwell / self.sample_time - 1e-9), AHEAD // 2), np.random.default_rng(0)
         places = random.integers(REST, size=REALISATIONS)
         jitter, size = self.resting.trace, noise.displacement / max(self.resting.displacement, 1e-300)
@@ -218,7 +218,7 @@ class Predictor:
 
     @property
     def expected(self) -> np.ndarray:
-        """Displacement of the present move as far as it has been computed, without noise [m], shape (N,)."""
+        """Predicted displacement of the present move without noise [m], shape (N,), as far as it has been computed."""
         return self._traces[0] + self.deviations @ self._slopes
 
     @property
@@ -239,12 +239,12 @@ class Predictor:
         self.deviations = self._covariance @ (past @ self.deviations + (slopes * weight) @ residual[known])
 
     def rest_at(self, setpoint: float) -> None:
-        """Let the models rest at a setpoint [m]."""
+        """Bring the models to rest at a setpoint [m]."""
         self._begin(setpoint, 0, None)
         self.follow(SETTLING)
 
     def follow(self, samples: int) -> None:
-        """Let the models follow the axis until a number of samples after the beginning of the last move."""
+        """Let the models follow the axis for ``samples`` samples, counted from the beginning of the last move."""
         if samples <= self._followed:
             return
         for one, state in zip(self._axes, self._states, strict=True):
@@ -263,28 +263,28 @@ class Predictor:
                 one.apply(Change(0, SOURCE, "follow", path))
         self._states = [_copy(one) for one in self._axes]
         self._followed, self._setpoint = 0, setpoint
-        # a trajectory does not change the given setpoint
+        # a trajectory does not change the setpoint of the axis
         self._given = self._given if path is not None else setpoint
         self._traces = np.empty((len(PLANTS), 0))
 
     def _look_ahead(self, samples: int) -> None:
-        """Simulate the move up to this number of samples."""
+        """Continue the simulation of the move to ``samples`` samples."""
         while (left := samples - self._traces.shape[1]) > 0:
             rows = [one.run(np.full(min(left, CHUNK), self._given))["displacement"] for one in self._axes]
             self._traces = np.concatenate([self._traces, np.array(rows)], axis=1)
 
 
 def _resting(axis: AxisParameters) -> RestingLoop:
-    """Simulate the model of an axis at rest under noise so small that the loop is linear."""
+    """Simulate the model of an axis at rest, with noise so small that the loop is linear."""
     plant, own = axis.plant_simulator, axis.reference_generator
     if own is None:
-        raise ConfigurationError("an inchworm motor has no reference generator; nothing is predicted for it")
+        raise ConfigurationError("an inchworm motor has no reference generator: its moves are not predicted")
     size = 1e-4 * (own.maximum - own.minimum)
     runs = []
     for noise in (size, 0.0):
         loop = Axis(replace(axis, plant_simulator=replace(plant, sensor=SensorParameters(noise=noise, seed=1))))
         runs.append(loop.run(np.full(SETTLING + REST, 0.5 * (own.minimum + own.maximum))))
-    # the difference between the two runs contains neither the rest of the approach nor the creep
+    # approach and creep are the same in both runs, so they cancel
     noisy, clean = runs
     moved, seen = ((noisy[name] - clean[name])[SETTLING:] / size for name in ("displacement", "measured"))
     trace = moved - np.mean(moved)
@@ -292,7 +292,7 @@ def _resting(axis: AxisParameters) -> RestingLoop:
 
 
 def _arrays(found) -> Iterator[np.ndarray]:
-    """Yield all arrays in nested tuples."""
+    """Yield all arrays of nested tuples."""
     if isinstance(found, np.ndarray):
         yield found
     elif isinstance(found, tuple):

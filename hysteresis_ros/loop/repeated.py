@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repetition of a recorded run: the files that an axis reads, and the axis that uses their recorded contents."""
+"""Repetition of a recorded run: the input files of an axis, and the axis with their recorded contents."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
 
 @contextlib.contextmanager
 def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
-    """Yield the axis of a recording, and a line for each file on this disk that differs from its recorded contents.
+    """Yield the axis of a recording, and a line for each file on this disk that has changed since the recording.
 
     The axis uses copies of the recorded files, which exist until the context ends.
     """
@@ -61,7 +61,7 @@ def recorded_stage(recorded: Recording, name: str) -> Iterator[tuple[StageParame
 
 @contextlib.contextmanager
 def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Configuration, list[str]]]:
-    """Yield the configuration of a recording with the recorded contents of its files, and lines about changed files."""
+    """Yield the configuration of a recording, with its files as recorded, and lines about changed files."""
     text = in_force(recorded)
     if not text:
         raise RecordingError(
@@ -73,7 +73,7 @@ def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Co
     lacking = [signal for signal in needed if signal not in recorded]
     if lacking:
         raise RecordingError(
-            f"{name}: has no {' and no '.join(lacking)}: it contains a part of the signals, as the recordings of "
+            f"{name}: has no {' and no '.join(lacking)}: it contains only some of the signals, like the recordings of "
             "'commission' do, and cannot be repeated; verify the bag of 'up --record', or the .npz of 'simulate -o'"
         )
     configuration = parse_configuration(text, name)
@@ -88,7 +88,7 @@ def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Co
             if str(path) in contents:
                 content = contents[str(path)]
                 notes += filter(None, [note_on_disk(str(path), content)])
-                # the suffix determines how a table is read
+                # the copy keeps the suffix, which determines how a table is read
                 copy = pathlib.Path(folder) / f"{index}{path.suffix.lower()[:8]}"
                 copy.write_bytes(content)
                 configuration = configuration.override(f"{one}/{node}".lstrip("/"), **{parameter: str(copy)})

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline simulation and repetition of runs; plants that differ from their models, or drift; modes of the parts.
+"""Offline simulation and repetition of runs; plants that deviate from their models or drift; modes of the parts.
 
-A random plant multiplies these quantities by independent factors 1 + m u, with the mismatch m and u uniform in ±1: the
-gain, the loop width of the hysteresis (each model declares the parameters that determine it, and may declare more
-factors), the time scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's
-models do not change.
+In a random plant these quantities are multiplied by independent factors 1 + m u, where m is the mismatch and u is
+uniform in ±1: the gain, the loop width of the hysteresis (each model declares the parameters that determine it, and may
+declare more factors), the time scale of the linear dynamics, and the rate of the creep. The models of compensator and
+controller do not change.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.recordings.dataset import SIMULATED, Recording, note_output, output_tolerance, requests_per_sample
 
-#: Largest allowed mismatch, at which every drawn parameter keeps its sign with a margin.
+#: Largest allowed mismatch; even with it, every random parameter keeps its sign with a margin.
 LARGEST = 0.5
 
 
@@ -50,7 +50,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
     def factor(count=None):
         return 1.0 + mismatch * random.uniform(-1.0, 1.0, count)
 
-    # in a fixed order, so that a seed gives the same factors for every model
+    # drawn in a fixed order, so that a seed gives the same factors for every model
     gain, opening, slowness, creeping = factor(), factor(), factor(), factor()
     changed = deviating(plant, Deviation(gain, opening, factor), slowness, creeping)
     return configuration.override("plant_simulator", **changed)
@@ -59,7 +59,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 def deviating(
     plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
 ) -> dict[str, Any]:
-    """Return the parameters in which a deviating plant differs from the given plant, with their new values."""
+    """Return the parameters that change if the plant deviates from the given one, with their new values."""
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
     drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
@@ -79,7 +79,7 @@ STEP = 1e-3
 
 
 def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, opening: float = 0.0) -> list[Change]:
-    """Return the changes that let the plant of an axis drift linearly over a run.
+    """Return the changes with which the plant of an axis drifts linearly over a run.
 
     The displacement does not jump at a step of the drift, because a change of gain leaves the present displacement
     unchanged.
@@ -87,7 +87,7 @@ def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, openin
     plant = parameters.plant_simulator
     for name, value in (("gain", gain), ("opening", opening)):
         if not abs(value) <= LARGEST:
-            raise ParameterError([Problem(f"drift {name}", value, f"must be within -{LARGEST:g} ... {LARGEST:g}")])
+            raise ParameterError([Problem(f"drift {name}", value, f"must be within -{LARGEST:g} … {LARGEST:g}")])
     if plant.type == "inchworm" or plant.driver:
         what = "a device" if plant.driver else "an inchworm motor"
         raise ParameterError([Problem("drift", what, "requires a simulated actuator")])
@@ -170,7 +170,7 @@ def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str,
 
 
 def _padded(values, samples: int, rest: float) -> np.ndarray:
-    """Return the first ``samples`` values; if there are fewer, ``rest`` fills the end."""
+    """Return the first ``samples`` values; if there are fewer, append ``rest``."""
     values = np.asarray(values, dtype=float)[:samples]
     return np.concatenate([values, np.full(samples - len(values), rest)])
 
@@ -216,8 +216,8 @@ def answers_of(recorded: Recording) -> dict[str, np.ndarray]:
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
-    Two things are taken from the recording: the measurements of a device, and whether the device could be made safe
-    after a failure. Everything else is computed again, in an offline run also the simulated device.
+    Only the measurements of a device, and whether it could be made safe after a failure, are taken from the recording.
+    Everything else is computed again; in an offline run this includes the simulated device.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     given["pulses"] = recorded.signals.get("trigger_in")
@@ -228,12 +228,12 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     # a device's true displacement is unknown
     unknown = {"displacement"} if driven else set()
     if parameters.displacement_camera is not None:
-        unknown = {"measured"}  # in a recording this signal is the controller's input, not the plant's output
+        unknown = {"measured"}  # the recorded signal is the controller's input, not the plant's output
     return unequal(recorded, twin, unknown)
 
 
 def unequal(recorded: Recording, twin: Recording, unknown: Collection[str] = ()) -> dict[str, int]:
-    """Return for each signal of a run that is not in ``unknown`` the number of samples that differ from the twin."""
+    """Return the number of samples that differ from the twin for each differing signal that is not in ``unknown``."""
     columns = {"time": (recorded.time, twin.time)}
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
@@ -271,5 +271,5 @@ def mode_lines(recording: Recording) -> list[str]:
             lines.append(f"{part}: {name} from {first:.6g} to {last:.6g} s ({len(stretch)} samples)")
         if len(stretches) > MOST_LINES:
             counted = int(np.sum(modes != RUNNING))
-            lines.append(f"{part}: … {len(stretches)} such intervals, {counted} samples in total")
+            lines.append(f"{part}: … {len(stretches)} such intervals in all, {counted} samples")
     return lines or ["every part stayed in its normal mode"]

@@ -58,7 +58,7 @@ def rest(laws, part, column):
 
 @by_part
 def hold(laws, part, column):
-    """Bring a motion to rest, beginning with this sample; later setpoints are still accepted."""
+    """Bring the reference to rest and hold it, beginning with this sample; later setpoints are still accepted."""
 
 
 class GeneratorSourceArrays(NamedTuple):
@@ -71,7 +71,7 @@ class GeneratorSourceArrays(NamedTuple):
 
 @nested
 def generate(laws, arrays, row):
-    """Compute the reference from waveform and setpoint; it is constant while the plant has stopped the axis."""
+    """Compute the reference from waveform and setpoint; hold it while the plant has stopped the axis."""
     x = arrays.x.range
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
@@ -84,7 +84,7 @@ def generate(laws, arrays, row):
             mode = STOPPED
     row[at.SETPOINT] = setpoint_in_force(arrays.x, row[at.SETPOINT])
     row[at.SOURCE_MODE] = mode
-    # not a separate function, because a call with all arrays of the generator took some 30 ns more per sample
+    # not a separate function, because its call with all arrays of the generator took about 30 ns per sample
     row[at.WAVEFORM_SAMPLE] = -1.0
     row[at.SCAN_EDGES] = 0.0
     row[at.TRIGGER] = row[at.TRIGGER_POSITION] = row[at.TRIGGER_DIRECTION] = row[at.TRIGGER_DELAY] = 0.0
@@ -149,7 +149,7 @@ class GeneratorSource:
         self._arm()
 
     def _arm(self) -> None:
-        """Create the triggers from the parameters; a waveform that the trigger input starts waits for a pulse."""
+        """Create the triggers from the parameters; let a waveform that the trigger input starts wait for a pulse."""
         own = self.parameters
         self.triggers = triggers_of(own)
         self._bound()
@@ -157,7 +157,7 @@ class GeneratorSource:
             self.generator.wait_for_start()
 
     def _bound(self) -> None:
-        """Limit steps of the setpoint to the range that the present waveform leaves."""
+        """Limit setpoint steps by the trigger input to the range that the present waveform leaves."""
         if self.triggers is not None:
             bounds = self.generator.ps.approach[[LOW, HIGH]]
             self.triggers.p[[triggering.LOWEST, triggering.HIGHEST]] = bounds
@@ -184,7 +184,7 @@ class GeneratorSource:
 
     @property
     def setpoint_range(self) -> tuple[float, float]:
-        """The least and the largest setpoint that is accepted [m]: the range, less what the waveform adds."""
+        """Smallest and largest accepted setpoint [m]: the range minus what the waveform needs."""
         return self.generator.ps.approach[LOW], self.generator.ps.approach[HIGH]
 
     @property
@@ -231,7 +231,7 @@ class GeneratorSource:
             self.generator.stop()
 
     def retune(self, parameters: ReferenceNodeParameters) -> None:
-        """Apply another waveform while stopped, or other triggers."""
+        """Apply other triggers, or, while the generator is stopped, another waveform."""
         self.generator.retune(part(parameters, ReferenceParameters))
         before, self.parameters = self.parameters, parameters
         if (parameters.triggers, parameters.waveform) != (before.triggers, before.waveform):
@@ -275,7 +275,7 @@ class SequencerSourceArrays(NamedTuple):
 def sequenced(laws, arrays, row):
     """Compute reference, origin and clamp voltages of an inchworm motor.
 
-    While the plant has stopped the axis the sequencer gets no measurement: both clamps close and hold.
+    While the plant has stopped the axis, the sequencer gets no measurement, so both clamps close and hold.
     """
     p, x, faults = arrays.p.sequencer, arrays.x.sequencer, arrays.x.faults
     faulty.begin_sample(faults)
@@ -380,7 +380,7 @@ class SequencerSource:
 
     @property
     def waveform(self):
-        """The sequencer's own kernel, as a placeholder: a sequencer has no waveform."""
+        """Placeholder for the kernel of a waveform, which a sequencer does not have."""
         return None
 
     @property
@@ -390,7 +390,7 @@ class SequencerSource:
 
     @property
     def setpoint_range(self) -> tuple[float, float]:
-        """The least and the largest setpoint that is accepted [m]."""
+        """Smallest and largest accepted setpoint [m]."""
         return self.parameters.minimum, self.parameters.maximum
 
     @property
@@ -421,7 +421,7 @@ class SequencerSource:
 
 
 def require_accepted(name: str, setpoints: np.ndarray, low: ArrayLike, high: ArrayLike) -> None:
-    """Refuse setpoints [m] that are not within ``low`` … ``high`` [m]: a running axis would ignore them."""
+    """Refuse setpoints [m] outside ``low`` … ``high`` [m], which a running axis would ignore."""
     refused = ~((low <= setpoints) & (setpoints <= high))
     if not refused.any():
         return

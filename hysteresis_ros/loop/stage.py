@@ -15,10 +15,10 @@ actuators. Every axis compensates its hysteresis and outputs its voltage. Finall
 
 The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
 and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the product of decoupling and commands;
-the commands that they achieve are transformed back by the inverse of the decoupling. After each sample the feedforward
-of the stage takes the new references of all axes, and adds its contribution to the next commands of the axes
+the inverse of the decoupling transforms their achieved commands back. After each sample the feedforward of the stage
+takes the new references of all axes, and adds its contribution to the next commands of the axes
 (:class:`.StageFeedforwardParameters`). A stage stops as a whole: when the plant of one axis trips, the other axes stop
-too; while the measurement of one axis is stale, all controllers go to their safe commands.
+too; and while the measurement of one axis is stale, all controllers go to their safe commands.
 :mod:`hysteresis_ros.nodes.stage` applies the same rule to the nodes of a stage, in Python, with methods of
 :class:`.Plant` and :func:`hold_with_stage`.
 """
@@ -92,7 +92,7 @@ def actuate_coupled(laws, arrays, row):
     p, x = arrays.p, arrays.x
     applied = limiting.limits(p.limits, x.limits, watched_voltage(arrays.watch_p, arrays.watch_x, row))
     crept = creep(p.creep, x.creep, laws.hysteresis(p.hysteresis, x.hysteresis, applied))
-    # these dynamics are only the delay of amplifier and converter: an actuator of a stage has no other dynamics
+    # these dynamics are only the delay of amplifier and converter; the rest belongs to the structure
     arrays.drive[0] = linear(p.dynamics, x.dynamics, crept)
     row[at.PLANT_VOLTAGE] = applied
 
@@ -146,7 +146,7 @@ class GroupArrays(NamedTuple):
 
 @kernel
 def combined(matrix, i, values, first):
-    """Return row ``i`` of a matrix times the values from ``first`` on; values with a factor of 0 are ignored."""
+    """Return row ``i`` of a matrix times the values from index ``first`` on; a factor of 0 ignores even a NaN."""
     total = 0.0
     for j in range(matrix.shape[1]):
         if matrix[i, j] != 0.0:
@@ -156,7 +156,7 @@ def combined(matrix, i, values, first):
 
 @nested
 def to_pose(group, rows):
-    """Transform readings and true displacements at the sensors into degrees of freedom."""
+    """Transform the readings of the sensors, and the true displacements there, into degrees of freedom."""
     n = group.sensor_matrix.shape[0]
     for i in range(n):
         group.scratch[i] = rows[i, at.MEASURED]
@@ -183,14 +183,14 @@ def to_actuators(group, rows):
 
 @nested
 def to_axes(group, rows):
-    """Transform the actuators' achieved commands into achieved commands of the axes; restore the axes' own commands."""
+    """Transform the actuators' achieved commands into those of the axes; restore the axes' own commands."""
     n = group.decoupling.shape[0]
     for i in range(n):
         missing = rows[i, at.APPLIED] - group.asked[i]
         group.scratch[n + i] = missing if missing - missing == 0.0 else 0.0
     for i in range(n):
         rows[i, at.COMMAND] = group.scratch[i]
-        # only the difference from the command is transformed, so a fully achieved command has no rounding error
+        # only the difference from the command is transformed, so that a fully achieved command has no rounding error
         rows[i, at.APPLIED] = group.commands[i] + combined(group.recoupling, i, group.scratch, n)
 
 
@@ -231,7 +231,7 @@ def feed_across(group, rows):
 
 @nested
 def advance_structure(group):
-    """Hold the inputs of the structure for one sample."""
+    """Advance the structure by one sample with held inputs."""
     structure_advance(group.p, group.x, group.drive)
     structure_output(group.p, group.x, group.drive, group.shown)
 
@@ -265,7 +265,7 @@ def confirm_axis(laws, parts, row):
 
 @kernel
 def report_reference(feedforward, own, row):
-    """Write the newest reference and the number of new references (-1: the axis follows none) into an axis' row."""
+    """Write newest reference and number of new references (-1: the axis does not follow) into an axis' row."""
     row[at.TRIPPED] = feedforward[feeding.NEWEST]
     row[at.CONTROLLER_MODE] = -1.0 if own[RETURNING] != 0.0 else feedforward[feeding.CALLS]
     feedforward[feeding.CALLS] = 0.0
@@ -283,13 +283,13 @@ def take_command(laws, parts, row):
     parts.controller.x.feedforward[feeding.GIVEN] = row[at.TRIPPED]
 
 
-#: Value of a controller's ``STOP`` while the measurement of another axis of its stage is stale; 1: stopped by a user.
+#: Value of a controller's ``STOP`` while the measurement of another axis is stale (1: stopped by a user).
 WITH_STAGE = 2.0
 
 
 @kernel
 def hold_with_stage(own, held):
-    """Stop a controller (``held`` 1) with its stage, or resume it (0); ``own`` is the controller's state."""
+    """Stop a controller with its stage (``held`` 1), or resume it (0); ``own`` is the controller's state."""
     if held != 0.0 and own[STOP] == 0.0:
         own[STOP] = WITH_STAGE
     elif held == 0.0 and own[STOP] == WITH_STAGE:
@@ -299,7 +299,7 @@ def hold_with_stage(own, held):
 
 @each
 def find_trip(laws, parts, row):
-    """Write into a row why the plant is stopped, and whether the measurement is stale."""
+    """Write the reason why the plant is stopped (0: none), and whether the measurement is stale, into a row."""
     row[at.TRIPPED] = parts.plant.watch_x.trip[TRIP]
     row[at.CONTROLLER_MODE] = 0.0
     if is_stale(parts.controller.watch_p.guard, parts.controller.watch_x.guard):
@@ -315,7 +315,7 @@ def stop_axis(laws, parts, row):
 
 @each
 def hold_axis(laws, parts, row):
-    """Hold the controller of one axis while its row reports that the measurement of another axis is stale."""
+    """Stop the controller of one axis while its row reports that the measurement of another axis is stale."""
     hold_with_stage(parts.controller.watch_x.own, row[at.CONTROLLER_MODE])
 
 
@@ -506,11 +506,11 @@ class Stage:
         lengths = {name: len(values) for name, values in setpoints.items()}
         if len(set(lengths.values())) > 1:
             text = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise ConfigurationError(f"setpoints have different lengths ({text}): the axes of a stage run together")
+            raise ConfigurationError(f"setpoints have different lengths ({text}): give the same number for each axis")
         return next(iter(lengths.values()))
 
     def apply(self, change: Change, place: int) -> None:
-        """Between two samples, start, stop or retune a part of axis number ``place``."""
+        """Start, stop or retune a part of axis number ``place`` between two samples."""
         self.axes[place].apply(change)
         if (change.node, change.action) == ("plant_simulator", "reset"):
             self._coupling.settle(self.plants)

@@ -45,7 +45,7 @@ from hysteresis_ros.references.waveforms.scan import ScanWaveformParameters
 
 @dataclass(frozen=True)
 class StageFeedforwardParameters(Parameters):
-    """Commands from the references of all axes, added to the feedforward of each axis.
+    """Contribution of the references of all axes to the command of each axis, in addition to its own feedforward.
 
     The feedforward of a stage, from the references r of all axes to their commands u, is
 
@@ -53,11 +53,11 @@ class StageFeedforwardParameters(Parameters):
 
     F_i is the inverse of the model of axis i alone, :mod:`hysteresis_ros.control.feedforward`, with N samples of
     preview. X is designed from the model of the stage (:mod:`hysteresis_ros.designs.stage_feedforward`), so that F + X
-    inverts that model. X is a finite impulse response in both directions of time, because a bounded inverse of a stage
-    with zeros outside the unit circle must look ahead.
+    inverts that model. X is a finite impulse response that also uses future references, because a bounded inverse of a
+    stage with zeros outside the unit circle must look ahead.
 
-    X looks one sample less ahead than F, because the references of all axes are exchanged after each sample, for the
-    next one. So no controller waits for another controller within a sample, and the nodes, the fused loop and the
+    X looks ahead one sample less than F, because the references of all axes are exchanged after each sample and used in
+    the next one. So no controller waits for another controller within a sample, and the nodes, the fused loop and the
     offline twin compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing;
     when it follows again, its earlier references are assumed to equal the first new reference. The weights of X add up
     to 0, so X adds nothing at rest; the matrix ``decoupling`` decouples at rest.
@@ -68,13 +68,13 @@ class StageFeedforwardParameters(Parameters):
         low=0,
         high=10 * LONGEST_PREVIEW,
         read_only=True,
-        description="samples N by which the references are ahead, equal to feedforward.preview of each axis",
+        description="preview N of the references in samples, equal to feedforward.preview of each axis",
     )
     weights: tuple[float, ...] = parameter(
         (),
         read_only=True,
         description="weights X of the references r_j(k-N) … r_j(k+N-1) in the command of axis i, n·n·2·N numbers, row "
-        "by row; empty: each axis only has its own feedforward",
+        "by row; empty: each axis has only its own feedforward",
     )
 
     def matrix(self, axes: int) -> np.ndarray:
@@ -85,7 +85,7 @@ class StageFeedforwardParameters(Parameters):
 
 #: Largest number of axes.
 MOST_AXES = 16
-#: Kinds of plant: hysteresis in front of the linear dynamics, or inside them.
+#: Kinds of plant: hysteresis before the linear dynamics, or inside them.
 HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
 #: Parameters that all axes of a stage and the stage itself have in common.
 SHARED = ("sample_rate", "time_mode")
@@ -125,14 +125,14 @@ class StageNodeParameters(NodeParameters):
     axes: tuple[str, ...] = parameter(
         (),
         read_only=True,
-        description="names of the axes, each the namespace of its sections, in the order of the "
+        description="names of the axes, which are the namespaces of their sections, in the order of the "
         "inputs and outputs of the structure",
     )
     type: str = parameter(
         HAMMERSTEIN,
         choices=(HAMMERSTEIN, INTERNAL),
         read_only=True,
-        description="class of the plant: hysteresis of each actuator in front of the structure, or inside it, "
+        description="hysteresis of each actuator before the structure (hammerstein), or inside it (internal), "
         "collocated with the actuators",
     )
     structure: StructureParameters = group(StructureParameters)
@@ -188,7 +188,7 @@ class StageNodeParameters(NodeParameters):
             yield Problem("structure.radii", self.structure.radii, f"{allowed} with type: {self.type}")
 
     def large_gain(self) -> np.ndarray:
-        """Return the static gain from the actuators to the degrees of freedom for large motions, shape (n, n)."""
+        """Return the static gain for large motions from the actuators to the degrees of freedom, shape (n, n)."""
         gain = np.reshape(self.structure.large.dc_gain, (len(self.axes), len(self.axes)))
         return product(self.matrix("sensor_matrix"), gain)
 
@@ -240,7 +240,7 @@ def _other_clock(axis: AxisParameters, first: AxisParameters):
 
 
 def without_drivers(configuration: Configuration, axes: Sequence[str]) -> Configuration:
-    """Return a stage without its devices, because a machine that evaluates a recording may lack their drivers."""
+    """Return a configuration without drivers, because the machine that evaluates a recording may not have them."""
     for name in axes:
         plant = f"{configuration.stage}/{name}/plant_simulator".lstrip("/")
         if configuration.node("plant_simulator", f"{configuration.stage}/{name}").get("driver"):
@@ -250,11 +250,11 @@ def without_drivers(configuration: Configuration, axes: Sequence[str]) -> Config
 
 
 def _other_kind(axis: AxisParameters, first: AxisParameters):
-    """Yield a Problem unless this axis and the first axis are both simulated or both devices."""
+    """Yield a Problem if this axis has a driver and the first axis has none, or vice versa."""
     own, wanted = axis.plant_simulator.driver, first.plant_simulator.driver
     if bool(own) != bool(wanted):
         has = f"has the driver {wanted}" if wanted else "has no driver"
-        allowed = f"{first.namespace} {has}: give each axis of the stage a driver, or none"
+        allowed = f"{first.namespace} {has}: give a driver to every axis of the stage, or to no axis"
         yield Problem("driver", own or "''", allowed)
 
 
@@ -273,10 +273,10 @@ def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
         given = plant.force_sensor.stack_stiffness
         yield Problem("force_sensor.stack_stiffness", given, "a stage has no force sensors: give 0")
     if plant.dynamics.A:
-        allowed = "belongs to the structure of the stage: an actuator of a stage may have a delay, but no matrices"
+        allowed = "must be empty: the structure of the stage has the dynamics; an actuator may have only a delay"
         yield Problem("dynamics.A", plant.dynamics.A, allowed)
     if stage.type == INTERNAL and plant.hysteresis.type != "proportional":
-        allowed = "must be proportional with type: internal, where the plays of the structure are the hysteresis"
+        allowed = "must be proportional with type: internal, because the plays of the structure are the hysteresis"
         yield Problem("hysteresis.type", plant.hysteresis.type, allowed)
 
 
@@ -308,7 +308,7 @@ class StageParameters:
         ConfigurationError
             The file describes no stage, or its axes differ from the axes that the stage names.
         ParameterError
-            A parameter is wrong, or parameters do not fit together; the message names the section of every problem.
+            A parameter is wrong, or parameters are inconsistent; the message names the section of every problem.
         """
         namespace = configuration.stage
         if namespace is None:
@@ -329,7 +329,7 @@ class StageParameters:
             )
         axes: list[AxisParameters] = []
         problems: list[Problem] = []
-        # clocks are checked first, because an axis at another rate causes further problems
+        # checked first, because an axis at another rate causes further problems
         for space in wanted:
             for shared in SHARED:
                 value = configuration.node("plant_simulator", space).get(shared, getattr(NodeParameters, shared))
@@ -379,8 +379,8 @@ class StageParameters:
     def following(self, given: StageScanParameters) -> StageParameters:
         """Return the same stage with axes that follow a scan.
 
-        A scan that is invalid, or that the axes cannot follow, is refused; the reference generators of the axes
-        determine the range and the limits of the motion.
+        A scan that is invalid, or that the axes cannot follow, is refused; the reference generators of the axes contain
+        the range and the limits of the motion.
         """
         where = f"{self.namespace}/{STAGE}: scan"
         found = replace(self, stage=replace(self.stage, scan=given))
@@ -409,7 +409,7 @@ class StageParameters:
             what: tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
             for what in ("velocity", "acceleration", "jerk")
         }
-        # samples contain no frequencies beyond half the sample rate
+        # sampled signals contain no frequencies above half the sample rate
         limits["bandwidth"] = 0.5 * self.sample_rate
         limits["low"] = tuple(source.minimum - source.initial_setpoint for source in sources)
         limits["high"] = tuple(source.maximum - source.initial_setpoint for source in sources)
@@ -469,7 +469,7 @@ class StageParameters:
     def travel(self) -> np.ndarray:
         """Return the allowed range of the measurement [m] of each axis, shape (n, 2).
 
-        The range contains all positions at which the stage can rest, for any voltages of the other axes, plus
+        The range consists of all positions at which the stage can rest, whatever the voltages of the other axes, plus
         ``overtravel``.
         """
         gain = self.stage.large_gain()
@@ -541,7 +541,7 @@ class StageParameters:
         for axis in self.axes:
             found = {name: getattr(axis, name) for name in NODE_PARAMETERS}
             nodes |= {f"{axis.namespace}/{name}": node for name, node in found.items() if node is not None}
-        # ROS has no type for an empty array, and arrays that may be empty are empty by default
+        # empty arrays are left out, because ROS has no type for them; arrays that may be empty are so by default
         return dump_configuration(
             {
                 name: {key: value for key, value in node.to_mapping().items() if value != ()}

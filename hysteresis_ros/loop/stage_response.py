@@ -35,16 +35,16 @@ from hysteresis_ros.references.scan import OCCUPIED, rounded_down
 from hysteresis_ros.references.waveforms.scan import repetition
 from hysteresis_ros.units import readable
 
-#: Angle [rad per sample] used in place of 0, at which the response of an integrator is infinite.
+#: Angle [rad per sample] used instead of 0, where the response of an integrator is infinite.
 RESTING = 1e-7
 #: Frequencies at which the bandwidth of a loop is searched, as fractions of the sample rate.
 GRID = np.geomspace(1e-5, 0.5, 2000)
-#: Harmonics of a path below this fraction of the largest one do not count.
+#: Harmonics of a path below this fraction of the largest one are ignored.
 SMALLEST = 1e-7
-#: Smallest fraction of the amplitude that counts as followed.
+#: Smallest ratio of the amplitudes of displacement and reference at which the axis counts as following.
 FOLLOWED = math.sqrt(0.5)
-#: Largest number of steps of the search for a frame rate within the range of the actuators, and the factor of the frame
-#: rate in each step.
+#: Search for a frame rate within the range of the actuators: largest number of steps, and factor of the frame rate per
+#: step.
 STEPS, SLOWER = 60, 0.97
 
 
@@ -68,7 +68,7 @@ def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def stage_plant(parameters: StageParameters) -> StateSpace:
-    """Return the plant from the commands of the degrees of freedom to their measurements, with compensated hysteresis.
+    """Return the plant with compensated hysteresis, from the commands of the degrees of freedom to their measurements.
 
     The plant includes the delays of the actuators, and each measurement precedes the commands of its sample. With
     hysteresis inside the structure the result is the linear plant for motions smaller than the radius of every play.
@@ -113,7 +113,7 @@ def stage_response(parameters: StageParameters, angles) -> np.ndarray:
 
 
 def damped_response(parameters: StageParameters, angles) -> np.ndarray:
-    """Return the response from the outputs of the control laws, with the damping behind them, to displacements.
+    """Return the response from the outputs of the control laws to the displacements, including the damping.
 
     The response has shape (F, n, n); ``angles`` are in rad per sample. The feedforward inverts this response.
     """
@@ -129,7 +129,7 @@ def damped_response(parameters: StageParameters, angles) -> np.ndarray:
 
 
 def _closed(parameters: StageParameters, loops, angles) -> np.ndarray:
-    """Return the closed loop with systems from (input, measurement) to command, shape (F, n, n)."""
+    """Return the closed loop of the stage with systems from (input, measurement) to command, shape (F, n, n)."""
     z = np.exp(1j * np.maximum(np.abs(angles), RESTING))
     plant, count = stage_plant(parameters).response(z), len(parameters.names)
     both = np.array([one.response(z)[:, 0] for one in loops])
@@ -154,7 +154,7 @@ def scanned_paths(parameters: StageParameters) -> np.ndarray:
 def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
     """Return a sentence for each axis without learning that cannot follow its path in the scan.
 
-    Such a path needs more than the bandwidth of the loop, or the axis follows it late, by the preview of its
+    The path needs more than the bandwidth of the loop, or the axis follows it late because of the preview of its
     feedforward.
     """
     scan = parameters.scan
@@ -220,7 +220,7 @@ def check_scan(parameters: StageParameters) -> None:
     remedy = f"allowed: ≤ {rate:.4g} Hz, a frame in {1.0 / rate:.4g} s or more" if rate else "make the scan smaller"
     text = (
         f"the actuator of {parameters.names[place]} would need commands that are {over[place]:.4g} times its range, "
-        f"from the middle of the scan; {remedy}"
+        f"measured from the middle of the scan; {remedy}"
     )
     raise ParameterError([Problem("scan: frame_rate", scan.rate, text)])
 

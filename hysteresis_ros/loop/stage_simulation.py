@@ -31,7 +31,7 @@ from hysteresis_ros.recordings.dataset import SIMULATED, Recording, note_output,
 
 #: Number of instants within each sample at which displacements are computed.
 INSTANTS = 5
-#: A structure is integrated between its samples only if the condition number of its modes is at most this.
+#: A structure is integrated between samples only if the condition number of its eigenvectors is below this.
 WORST_CONDITION = 1e10
 
 
@@ -48,7 +48,7 @@ def simulate_stage(
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
     Axes without setpoints keep their configured setpoint. ``answers`` are the answers of each axis' device in the
-    repeated run; without answers all plants are simulated, even those with a driver. The signals of the recording are
+    recorded run; without answers all plants are simulated, even those with a driver. The signals of the recording are
     ``x/displacement`` …; :meth:`.Recording.axis` returns the signals of one axis.
     """
     if duration is not None:
@@ -61,7 +61,7 @@ def simulate_stage(
     else:
         samples = max((len(values) for values in lists.values()), default=0) or stage.default_samples()
     if samples < 1:
-        raise ConfigurationError("the stage has no end (samples: 0, endless waveforms): give --duration S")
+        raise ConfigurationError("the run has no end (samples: 0, endless waveforms): give --duration S")
     padded = {
         name: np.concatenate([values[:samples], np.full(max(samples - len(values), 0), values[-1])])
         for name, values in lists.items()
@@ -126,9 +126,9 @@ def displacements_between(
     """Return instants [s], shape (M,), at and between the samples of a run, and degrees of freedom [m], shape (n, M).
 
     The run starts from rest, with the simulated stage of the recording or with ``stage``, another stage at rest.
-    Between samples the structure is integrated under held inputs, so that at the samples the result equals the
-    recording. If the model has no continuous equivalent, the samples are joined by straight lines; for hysteresis
-    inside the structure, only the samples are known.
+    Between samples the structure is integrated with held inputs, so the result equals the recording at the samples. If
+    the model has no continuous equivalent, the samples are joined by straight lines; for hysteresis inside the
+    structure, only the samples are known.
     """
     names, step = parameters.names, 1.0 / parameters.sample_rate
     sampled = np.array([recording[f"{name}/displacement"] for name in names])
@@ -149,14 +149,14 @@ def displacements_between(
     else:
         preloads = np.array([axis.plant_simulator.preload.offset for axis in parameters.axes])
         between = np.tensordot(parameters.stage.matrix("sensor_matrix"), found + preloads[:, None, None], 1)
-    # nothing is recorded after the last sample
+    # the interval after the last sample is not part of the recording
     time = (recording.time[:-1, None] + places * step).ravel()
     between = between[:, :-1].reshape(len(names), -1)
     return np.append(recording.time[0], time), np.hstack([sampled[:, :1], between])
 
 
 def continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
-    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts).
+    """Return the outputs at fractions of each sample with held inputs, shape (q, N, parts).
 
     The result is None if the model has no continuous equivalent.
     """
@@ -184,14 +184,14 @@ def chosen_stage(
 ) -> StageParameters:
     """Return the stage of a configuration, with faults in the axis that ``namespace`` names.
 
-    ``asked``: the command gives this axis a reference or triggers, so ``namespace`` is allowed without faults.
+    ``asked``: the command also gives this axis a reference or triggers, so ``namespace`` is allowed without faults.
     """
     parameters = StageParameters.from_configuration(configuration)
     check_scan(parameters)
     if faults and namespace is None:
         raise ConfigurationError(f"a fault of a stage needs the name of its axis, one of {', '.join(parameters.names)}")
     if namespace is not None:
-        parameters.place(namespace)  # refuses an unknown axis, whose reference or triggers would be lost
+        parameters.place(namespace)  # refuses an unknown axis, whose reference or triggers would be ignored
     if namespace is not None and not faults and not asked:
         raise ConfigurationError(
             f"the axes of a stage ({', '.join(parameters.names)}) run together: --namespace only selects the "
@@ -217,19 +217,19 @@ class CouplingError:
 
 
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
-    """Return how far a scan of each axis moves the other axes, in runs of ``duration`` [s] or of the waveforms' length.
+    """Return how far a scan of each axis moves the other axes, in runs of ``duration`` [s] or as long as the waveforms.
 
-    Every axis with a waveform scans in its own run while the other axes hold their setpoints. The displacements of
-    another run, in which all axes hold, are subtracted. Both runs have the same sensor noise, creep and approach to
-    the setpoint, which therefore cancel. The true displacements are compared. The result is empty for a single axis,
-    and when no axis has a waveform.
+    Every axis with a waveform scans in a run of its own while the other axes hold their setpoints. The true
+    displacements of another run, in which all axes hold, are subtracted; so sensor noise, creep and approach to the
+    setpoint, which are the same in both runs, cancel. The result is empty for a single axis, or if no axis has a
+    waveform.
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
     found: list[CouplingError] = []
     if len(parameters.names) < 2 or not scanning:
         return found
     if duration is None:
-        # the length of a run of all axes, because the waveform of a single axis may be endless
+        # the longest run of all axes, because the waveform of a single axis may be endless
         duration = Stage(parameters).default_samples() / parameters.sample_rate
     still = simulate_stage(parameters.scanning([]), duration=duration)
     for name in scanning:

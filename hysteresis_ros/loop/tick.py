@@ -57,11 +57,11 @@ class Parts(NamedTuple):
     compensator: CompensationArrays | AdaptiveArrays
 
 
-#: Steps of each sample that :func:`ticks` computes: all, or only the measurement, the command, or the feedback of the
-#: achieved command to the controller.
+#: Steps of a sample to compute: all, or only the measurement, the command, or the return of the achieved command to the
+#: controller.
 WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 
-#: Steps of a sample that may precede a change: none, the measurement, the command.
+#: Steps of a sample after which a change may take effect: before all steps, after the measurement, after the command.
 BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
 
 

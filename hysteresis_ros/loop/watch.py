@@ -10,7 +10,7 @@
 """Monitoring of the inputs of a part: missing, late or wrong values; all times are counted in samples.
 
 A missing input is NaN: no value was received, or the value is unusable. :func:`accept` decides this for measurements
-and commands, :func:`hold_voltage` for the voltage of an amplifier. The reaction of a part is its *mode*. Late voltages
+and commands, :func:`hold_voltage` for the voltage of an amplifier. The *mode* of a part is its reaction. Late voltages
 and trips of the whole axis are in :mod:`.plant`.
 """
 
@@ -43,16 +43,16 @@ class WatchArrays(NamedTuple):
 # Parameters of a guard.
 TIMEOUT = 0  # samples without a good value after which the input is stale
 SPIKE = 1  # largest change from one good value to the next, 0: any
-CONFIRM = 2  # number of larger changes in a row after which the change is accepted
-FROZEN = 3  # equal values in a row after which a sensor counts as frozen, 0: never
+CONFIRM = 2  # number of consecutive values with larger changes, of which the last is accepted
+FROZEN = 3  # consecutive repetitions of a value from which a sensor counts as frozen, 0: never
 
 # State of a guard.
 GOOD = 0  # last good value
 AGE = 1  # samples since the last good value
 BEGUN = 2  # 1 after the first good value
 STAMP = 3  # sample number of the last good value
-SUSPECTS = 4  # values in a row that were rejected as spikes
-SAME = 5  # equal values in a row
+SUSPECTS = 4  # consecutive values with too large a change
+SAME = 5  # consecutive repetitions of the last value
 LAST = 6  # last value, good or not
 REJECTED = 7  # rejected values so far
 GUARD_STATES = 8
@@ -72,9 +72,9 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    A value is rejected when it is not finite, when its sample number ``stamp`` is not greater than the number of the
-    last good value, when it is too far from the last good value, or when the sensor is frozen. After a time-out neither
-    the sample number nor the distance is checked, because there is no recent value for comparison.
+    A value is rejected if it is not finite, if its sample number ``stamp`` is not greater than that of the last good
+    value, if it is too far from the last good value, or if the sensor is frozen. After a time-out neither sample number
+    nor distance is checked, because there is no recent good value to compare with.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -144,10 +144,10 @@ FOLLOWS = 4  # 1 while the output equals the received voltage
 def hold_voltage(p, x, voltage, stopped, least):
     """Return the output voltage [V] of a sample, given the voltage received in time (NaN: no voltage).
 
-    The output is the last received voltage. After the time-out, and while ``stopped`` is not 0, it slews to the safe
-    voltage by at most one step per sample. On the way back, the output may move by this step plus the motion of the
-    received voltage in each sample. So the difference between the two decreases by at least one step per sample, and
-    the output always reaches the received voltage. A target below ``least`` is replaced by ``least``.
+    The output is the last received voltage. After the time-out, or while ``stopped`` is not 0, it slews to the safe
+    voltage by at most one step per sample. On the way back, in each sample the output may move by this step plus the
+    change of the received voltage. So their difference decreases by at least one step per sample, and the output always
+    reaches the received voltage. A target below ``least`` is replaced by ``least``.
     """
     step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
@@ -179,7 +179,7 @@ def hold_voltage(p, x, voltage, stopped, least):
 
 @kernel
 def least_beside(x, other):
-    """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
+    """Return the least allowed voltage [V] of a clamp: the present one while the ``other`` is below its target.
 
     Otherwise the result is -inf. The sequencer opens one clamp after it has commanded the other to close; after a stop
     the other clamp may still be closing.

@@ -336,7 +336,7 @@ WRONG = {
     "1s:2s:0.001nm": "allowed now: no quiet hold; or wait",
     "1s:-2s": "quiet: duration = -2.0 s: must be within 0",
     "-1s:2s": "quiet: start = -1.0 s: must be ≥ 0 s",
-    "1s:2s:-5nm": "quiet: tolerance = -5e-09 m: must be > 0 m",
+    "1s:2s:-5nm": "quiet: tolerance = -5e-09 m: must be ≥ 0 m",
     "1s:2s:5": "of which unit",
     "1s": "write START:DURATION",
     "9s:1s": "quiet: start = 9.0 s: must be before the end of the run, 8 s",

@@ -161,7 +161,7 @@ def _full(blocks) -> np.ndarray:
         (
             "plant_simulator",
             {"dynamics__A": [0.5], "dynamics__B": [0.5], "dynamics__C": [1.0]},
-            "/x/plant_simulator: dynamics.A = (0.5,): belongs to the structure of the stage",
+            "/x/plant_simulator: dynamics.A = (0.5,): must be empty: the structure of the stage",
         ),
         (
             "x__plant_simulator",

@@ -214,13 +214,13 @@ def test_a_stage_triggers_at_the_lines_of_its_scan():
 
 
 def test_the_device_of_a_plant_makes_the_triggers_of_its_source():
-    with pytest.raises(ParameterError, match="trigger_output = True: belongs to the device of a driver"):
+    with pytest.raises(ParameterError, match="trigger_output = True: needs the device of a driver"):
         parameters(plant_simulator={"trigger_output": True})
     real = {"every": {"time_mode": "realtime"}}
     driven = {"driver": "simulated", "trigger_output": True}
-    with pytest.raises(ParameterError, match="there are no triggers: give reference_generator triggers"):
+    with pytest.raises(ParameterError, match="the axis has no triggers: give reference_generator triggers"):
         parameters(**real, plant_simulator=driven)
-    with pytest.raises(ParameterError, match="it has no effect: give reference_generator triggers.input.action"):
+    with pytest.raises(ParameterError, match="has no effect: give reference_generator triggers.input.action"):
         parameters(**real, plant_simulator={"driver": "simulated", "trigger_input": True})
     own = {"triggers__positions": (1e-6,)}
     found = parameters(**real, plant_simulator=driven, reference_generator=own)

@@ -221,7 +221,7 @@ def test_a_waveform_that_the_slew_rate_limits_is_named_with_what_it_allows():
 def test_a_period_of_fewer_than_four_samples_is_a_warning():
     changed = {"reference_generator": sine(1e-7, 900.0, 1e-6), "motion_controller": {"type": "open_loop"}}
     (text,) = reach_warnings(axis(**changed))
-    assert "frequency = 900.0: 3.33 samples a period do not show the sine; lower it to 750 Hz" in text
+    assert "frequency = 900.0: 3.33 samples per period do not resolve the sine; lower it to 750 Hz" in text
 
 
 def test_a_short_preview_is_a_warning_of_the_axis():
