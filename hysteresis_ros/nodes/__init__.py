@@ -13,5 +13,5 @@ Read base (what every node has), then responder (nodes that answer samples), the
 hysteresis_compensator, motion_controller, reference_generator, inchworm_sequencer, recorder, displacement_camera.
 lockstep, realtime and fused are the time modes; axis composes the nodes in one process. launcher and domain start
 graphs without ROS in their own process; remote and security serve commands. masters detects competing publishers;
-trajectories, ready, quiet and triggers are the parts of a node for these subjects.
+trajectories, ready, quiet and triggers contain what their names say.
 """

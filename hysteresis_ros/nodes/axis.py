@@ -9,9 +9,9 @@
 
 """Executable ``hysteresis_axis``: the four nodes of an axis in one process with one executor.
 
-With ``time_mode: fused`` one compiled thread runs their loop. ``--recorder`` adds the node ``recorder``; only in this
-process can a recorder get all samples of a fused axis. With ``--external-plant`` there is no plant node: an external
-node replaces it.
+With ``time_mode: fused`` one compiled thread runs their loop. ``--recorder`` adds the node ``recorder``, which gets all
+samples of a fused axis only if it runs in this process. With ``--external-plant`` an external node replaces the plant
+node.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WITH_RECORDER = "--recorder"
 
 
 def main(arguments=None) -> int:
-    """Run all nodes; returns the exit code."""
+    """Run all nodes; return the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     fused = FusedAxis()
 

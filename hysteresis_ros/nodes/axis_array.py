@@ -12,8 +12,8 @@
 The parameter file describes one axis, as for the other nodes. The section ``axis_array`` states the number of axes, and
 a separate file contains the values that differ between the axes (:mod:`hysteresis_ros.loop.axis_array`). Plants
 (simulated actuators), controllers and compensators of all axes are computed in one call per sample. In lockstep the
-samples follow each other as fast as the computer allows, or each sample waits for new setpoints; in real time they
-begin at absolute deadlines.
+samples run as fast as the computer allows, or each sample waits for new setpoints; in real time they begin at absolute
+deadlines.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from hysteresis_ros.units import micrometres
 #: Topics of the array.
 SETPOINTS, VOLTAGES, JOINT_STATES = "setpoints", "voltages", "joint_states"
 _ARRAY, _JOINTS, _TEXT = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
-#: Lockstep: number of samples after which acknowledgements are awaited, and the longest duration of one wait [s].
+#: Lockstep: number of samples after which the array waits for acknowledgements, and longest duration of one wait [s].
 STRIDE, ACKNOWLEDGED = 64, 0.1
-#: Real time: delay [periods] above which the schedule is shifted, instead of catching up.
+#: Real time: delay [periods] above which the schedule is shifted; the array catches up on smaller delays.
 FAR_BEHIND = 10.0
-#: Interval between checks of a paused array, and between checks of the bag [s].
+#: Interval between checks while the array is paused, and between checks of the bag [s].
 PAUSE, TEND = 0.01, 0.1
 
 
@@ -84,7 +84,7 @@ class ArrayRunner(RealTime):
     def _run(self) -> None:
         try:
             self._run_samples()
-        except Exception as error:  # the thread would end silently
+        except Exception as error:  # otherwise the thread would end without a message
             self.node.fail(f"the samples failed: {type(error).__name__}: {error}")
 
     def _run_samples(self) -> None:
@@ -112,14 +112,14 @@ class ArrayRunner(RealTime):
             behind = time.monotonic() - deadline
             node.late += behind > self.period
             if behind > FAR_BEHIND * self.period:
-                paused = True  # the schedule is shifted; samples are never dropped
+                paused = True  # shift the schedule; samples are never dropped
             elif behind < 0.0:
                 self._leaving.wait(-behind)
         if samples and node.sample >= samples:
             node.finish()
 
     def _await_partners(self) -> bool:
-        """Wait for a publisher of the setpoints and a subscriber of the measurements; False if the node exits."""
+        """Wait for a publisher of setpoints and a subscriber of measurements; return False if the node exits."""
         node = self.node
         joints, _ = node.outputs
         while not (joints.get_subscription_count() and node.count_publishers(node.setpoints_topic)):
@@ -130,7 +130,7 @@ class ArrayRunner(RealTime):
         return True
 
     def _await_answer(self, samples: int) -> bool:
-        """Wait for setpoints after the present sample, unless it is the last one; return False if none arrived."""
+        """Wait for setpoints after the present sample, unless it is the last one; return False if none arrive."""
         node, patience = self.node, time.monotonic() + self.node.parameters.partner_timeout
         while not node.answered.wait(PAUSE) and not (samples and node.sample >= samples) and node.running:
             if self._leaving.is_set():
@@ -138,7 +138,7 @@ class ArrayRunner(RealTime):
             if time.monotonic() > patience:
                 node.fail(
                     f"no setpoints after sample {node.sample - 1} for {node.parameters.partner_timeout:g} s "
-                    "(partner_timeout): start their source, or set wait_for_setpoints: false"
+                    "(partner_timeout): start their publisher, or set wait_for_setpoints: false"
                 )
                 return False
         return True
@@ -168,7 +168,7 @@ class AxisArrayNode(AxisNode):
         #: Number of samples that began more than a period late, and number of refused messages.
         self.late = self.refused = 0
         self.recording: GuardedBag | None = None
-        #: Set when a message on ``setpoints`` has arrived since the last sample.
+        #: Set if a message on ``setpoints`` has arrived since the last sample.
         self.answered = threading.Event()
         super().__init__("axis_array", **options)
 
@@ -308,7 +308,7 @@ class AxisArrayNode(AxisNode):
         else:
             axes = np.arange(count)
         if given.size not in (axes.size, 1):
-            return f"{given.size} numbers for {axes.size} axes; give one for each of them, or one for all"
+            return f"{given.size} numbers for {axes.size} axes; give one number for each of them, or one for all"
         wanted = np.broadcast_to(given, axes.size)
         low, high = self.array.setpoint_range[axes].T
         wrong = np.flatnonzero(~((wanted >= low) & (wanted <= high)))
@@ -366,7 +366,7 @@ class AxisArrayNode(AxisNode):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     try:
         configuration = given_configuration(arguments, "array")

@@ -11,7 +11,7 @@
 
 The topic ``changes`` logs the initial parameters of a node and every change at run time. Entries are numbered, so that
 a recorder detects missing ones; the last entry marks the end of the run. A recorder in the process of a fused loop
-reads entries and samples directly, because messages with entries would arrive after the samples, or not at all.
+reads entries and samples directly, because messages could arrive later than the samples, or not at all.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _CHANGE_STATE = "_LifecycleNodeMixin__on_change_state"
 
 
 class GuardedLifecycleNode(GuardedServices, LifecycleNode):
-    """A lifecycle node that refuses a transition that its state does not allow.
+    """A lifecycle node that refuses transitions that its state does not allow.
 
     Up to rclpy 7.1.6 a ``change_state`` request for such a transition raises an exception in the executor. This ends
     the process without moving its outputs to safe values (ros2/rclpy, issue 1209).
@@ -62,8 +62,7 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
         super().__init__(name, **options)
         self.guard_services()
 
-    # Python mangles a private name with the name of the class in rclpy that defines it, so the service calls the method
-    # by this name.
+    # Python prefixes a private name with the name of its class in rclpy, so the service calls the method by this name.
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         wanted = request.transition
         allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
@@ -90,7 +89,7 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
 
 
 class Endpoints(Node):
-    """Mixin that creates publishers, subscriptions and timers; list it before rclpy's node class."""
+    """Mixin that creates publishers, subscriptions and timers; name it before rclpy's node class."""
 
     parameters: Any  #: Typed parameters of this kind of node; None while it is not configured.
     runner: Any  #: The runner, which decides when a sample is processed; None before the node is configured.
@@ -110,11 +109,11 @@ class Endpoints(Node):
         return loop_qos(self.runner.keeps, self.parameters.queue_depth)
 
     def changes_qos(self):
-        """Quality of service of the change log: entries are kept for a recorder that starts later."""
+        """Quality of service of the change log, which keeps entries for a recorder that starts later."""
         return loop_qos(True, self.parameters.queue_depth)
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
-        """Create a publisher that exists until cleanup; with ``loop``, lockstep awaits its matching subscription."""
+        """Create a publisher that exists until cleanup; with ``loop``, lockstep waits for its subscription."""
         made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
         self._topic_handles.append((self.destroy_publisher, made))
         if loop:
@@ -122,7 +121,7 @@ class Endpoints(Node):
         return made
 
     def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
-        """Create a subscription that exists until cleanup; lockstep monitors the publishing node, ``partner``."""
+        """Create a subscription that exists until cleanup; in lockstep the publishing node ``partner`` is monitored."""
         events = self.compatibility.of_subscription(topic)
         made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
         self._topic_handles.append((self.destroy_subscription, made))
@@ -131,7 +130,7 @@ class Endpoints(Node):
         return made
 
     def loop_input(self, message_type, topic: str, callback, qos, partner: str):
-        """Create a subscription of the loop; its only publisher must not change during a run in lockstep."""
+        """Create a subscription of the loop; it has one publisher, which must not change during a run in lockstep."""
         if self.runner.exact:
             return self.subscriber(message_type, topic, callback, qos, partner=partner)
         return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
@@ -142,7 +141,7 @@ class Endpoints(Node):
         return [publisher.topic_name for publisher in self._loop_publishers]
 
     def drop(self, subscription) -> None:
-        """Destroy a subscription before cleanup does."""
+        """Destroy a subscription before cleanup."""
         self._topic_handles.remove((self.destroy_subscription, subscription))
         self.destroy_subscription(subscription)
 
@@ -157,7 +156,7 @@ class Endpoints(Node):
         return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
 
     def publish_state(self, stamp, *values: float) -> None:
-        """Publish ``~/state`` with the stamp of its measurement; the message is reused."""
+        """Publish ``~/state`` with the stamp of its measurement, in a message that is used again."""
         message = self._state
         message.header.stamp = stamp
         position = message.position
@@ -170,7 +169,7 @@ class Endpoints(Node):
         now = self.steady.now().nanoseconds
         if now - self._warned.get(key, -(10**18)) >= every * 1e9:
             self._warned[key] = now
-            # two calls, because rclpy binds each call site to one severity
+            # two calls, because rclpy allows only one severity per line of code
             if error:
                 self.get_logger().error(text)
             else:
@@ -184,7 +183,7 @@ class Endpoints(Node):
 
 
 class ChangeLog:
-    """Change log of one node on ``changes``; it publishes nothing before :meth:`open`."""
+    """Change log of one node on the topic ``changes``; it publishes nothing before :meth:`open`."""
 
     def __init__(self, node: str):
         self._node = node
@@ -212,7 +211,7 @@ class ChangeLog:
             self._publisher.publish(String(data=text))
 
     def since(self, made: int) -> tuple[list[str], int]:
-        """Return the entries after the first ``made`` ones, as JSON, and the number of all entries so far."""
+        """Return all entries but the first ``made``, as JSON, and the number of entries so far."""
         new = min(self._made - made, len(self._entries))
         return list(self._entries)[len(self._entries) - new :], self._made
 
@@ -229,7 +228,7 @@ CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_relia
 
 
 def unheard(offered, asked, chosen_by: str) -> str:
-    """Return why a subscription does not match a publisher, and a remedy; empty if it matches."""
+    """Return why a subscription does not match a publisher, with a remedy; empty if it matches."""
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
     if offered.reliability == best_effort and asked.reliability == reliable:
         choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
@@ -241,7 +240,7 @@ def unheard(offered, asked, chosen_by: str) -> str:
 
 
 class Compatibility:
-    """Monitors the topics of a node for endpoints with incompatible quality of service."""
+    """Finds endpoints with incompatible quality of service on the topics of a node."""
 
     def __init__(self, node):
         self._node = node
@@ -261,7 +260,7 @@ class Compatibility:
         self.complaint()
 
     def complaint(self) -> str:
-        """Return the incompatible endpoints, logged at intervals; empty when all are connected."""
+        """Return the incompatible endpoints, and log them at intervals; empty if all are connected."""
         found = [text for topic in tuple(self._suspected) for text in self._look(topic)]
         for text in found:
             self._node.warn(f"qos {text}", text, every=10.0)
@@ -286,10 +285,10 @@ class Compatibility:
         return sorted(found)
 
 
-#: Levels: normal; needs attention; the axis does not follow its commands; no report.
+#: Diagnostic levels: normal; needs attention; the axis does not follow its commands; the node has exited.
 OK, WARN, ERROR, STALE = range(4)
 
-#: Component that a status describes; in the status name it follows the node name, as diagnostic aggregators expect.
+#: Component that a status describes; it follows the node name in the status name, as diagnostic aggregators expect.
 ITEM = "axis"
 
 #: Time after activation from which missing inputs are an error [s].
@@ -327,7 +326,7 @@ def _at_work(node) -> tuple[int, str, dict]:
     """Return level, message and values of an active node."""
     rate, jitter = node.pace.read()
     level, text, values = node.health()
-    # the plant alone counts late samples; other nodes report their late inputs
+    # only the plant counts late samples; other nodes count their late inputs
     counted = node.kind == "plant_simulator" or node.is_fused
     late = 0 if counted else node.since_report("late_inputs", node.pace.overruns)
     if node.failure:
@@ -337,7 +336,7 @@ def _at_work(node) -> tuple[int, str, dict]:
     elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
         level = WARN  # the other nodes are still starting
     elif late and not level:
-        level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the previous one"
+        level, text = WARN, f"{late} late inputs: each more than {OVERRUN:g} periods after the previous one"
     contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep a second publisher ends the run
     if contested:
         node.warn("others", contested, every=10.0, error=True)
@@ -361,8 +360,8 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
     :meth:`reset_blocks`, :meth:`retune`, and the processing of a sample; :attr:`runner` decides when a sample is
-    processed (lockstep or real time). Wrong input or a failed run sets :attr:`failure` to a sentence; the node's
-    process then exits with :attr:`exit_code`.
+    processed (lockstep or real time). After wrong input or a failed run, :attr:`failure` is a sentence, and the node's
+    process exits with :attr:`exit_code`.
     """
 
     #: Class of the node's parameters; None: the class in NODE_PARAMETERS under the node's name.
@@ -371,17 +370,17 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     has_state = True
     #: Time without a message [s] after which an input is missing; another publisher may then replace the silent one.
     patience: float = math.inf
-    #: Whether the node's result is incomplete; this may be true even after a regular exit.
+    #: Whether the node's result is incomplete, which is possible even after a regular exit.
     has_lost: bool = False
     #: Whether this node can be reset on a running axis without a step of its output.
     rests: bool = True
-    #: Fraction of partner_timeout after which this node reports a silent partner in lockstep. A node that waits
-    #: directly for the node that has caused the silence reports first, so that the error names this cause and not
+    #: Fraction of partner_timeout after which this node reports a silent partner in lockstep. The fraction is smaller
+    #: for a node that waits directly for the possible cause of the silence, so that the error names the cause and not
     #: another waiting node.
     share = 1.0
-    #: Parameters that the log message of activation names.
+    #: Parameters that the log message at activation names.
     identity: tuple[str, ...] = ()
-    #: Maximum time that a node listens at exit [s].
+    #: Maximum time for which a node processes pending messages at exit [s].
     listens_for = 0.3
     #: Services std_srvs/Trigger; the method ``_on_NAME`` answers NAME.
     triggers: tuple[str, ...] = ("start", "stop", "reset")
@@ -424,10 +423,10 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     # -- what subclasses provide -------------------------------------------------------------------------------
 
     def build(self, parameters) -> None:
-        """Create the blocks; raise HysteresisError when the parameters are inconsistent."""
+        """Create the blocks; raise HysteresisError if the parameters are inconsistent."""
 
     def unbuild(self) -> None:
-        """Release the resources of :meth:`build`; called at cleanup, and when configuring has failed."""
+        """Release the resources of :meth:`build`; called at cleanup, and if the configuration fails."""
 
     def connect(self) -> None:
         """Create publishers and subscriptions."""
@@ -471,7 +470,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return False
 
     def drained(self) -> bool:
-        """Return whether a node that listens at exit has no pending message left."""
+        """Return whether a node that processes pending messages at exit has processed all."""
         return True
 
     def reset_blocks(self) -> None:
@@ -484,7 +483,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         """Handle a call of ``~/start`` (True) or ``~/stop`` (False)."""
 
     def hindrance(self) -> str:
-        """Return why this node does not run although the user has not stopped it; empty when it runs."""
+        """Return why this node does not run although it was not stopped by the user; empty if it runs."""
         return "" if self.active else "inactive: activate it first"
 
     def stopped(self) -> str:
@@ -492,7 +491,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return "stopped"
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when all inputs have arrived."""
+        """Return the partner whose input for the present sample is missing; empty if all inputs have arrived."""
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:
@@ -501,7 +500,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.changes.publish({**entry, "parameters": parameters or {}})
 
     def change_details(self) -> dict:
-        """Return further fields of a change entry, which state what part of the sample is already processed."""
+        """Return further fields of a change entry, which state the steps of the sample that precede the change."""
         return {}
 
     def health(self) -> tuple[int, str, dict]:

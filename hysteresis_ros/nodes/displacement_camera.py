@@ -9,9 +9,9 @@
 
 """Node ``displacement_camera``: ``image`` → ``joint_states``; it measures the position of the tip.
 
-Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame without a detected
-position gives a sample without a measurement, to which the axis reacts as to any missing measurement. The reason is in
-the log and on ``/diagnostics``.
+Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. If no position is found in a
+frame, the sample has no measurement, and the axis reacts as to any missing measurement. The reason is in the log and on
+``/diagnostics``.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class DisplacementCameraNode(AxisNode):
         self.sample += 1
 
     def _count_lost(self, stamp) -> None:
-        """Count the frames lost since the last received frame; each lost frame is a sample without a measurement."""
+        """Count the frames lost since the last received frame; the samples of lost frames have no measurement."""
         nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
         lost = round((nanoseconds - self._stamp) * 1e-9 * self.parameters.sample_rate) - 1
         if self._stamp >= 0 and lost > 0:
@@ -115,7 +115,7 @@ class DisplacementCameraNode(AxisNode):
     def _answer(self, header, displacement: float, place) -> None:
         told = self._message
         told.header.stamp = header.stamp
-        # the frame_id of an image names the camera; only TRIPPED_FRAME is passed on
+        # only TRIPPED_FRAME is passed on; any other frame_id of an image names the camera
         told.header.frame_id = TRIPPED_FRAME if header.frame_id == TRIPPED_FRAME else ""
         told.position[0] = displacement
         self._joint_states.publish(told)
@@ -136,7 +136,7 @@ class DisplacementCameraNode(AxisNode):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([DisplacementCameraNode], arguments)
 
 

@@ -9,10 +9,10 @@
 
 """Discovery range of the nodes of this machine, and isolated ROS domains for graphs; this module imports no ROS.
 
-A graph started by a command or a test must never exchange messages with an axis of the user: two graphs in the same
-domain and namespace receive each other's commands. So a command or a test starts its graph in a domain of its own,
-above the domains that users choose (0 to 101). The graph cannot be discovered from other machines. While the graph
-runs, nodes that were not started for it are refused in its domain.
+A graph that a command or a test starts must never exchange messages with an axis of the user, because two graphs in the
+same domain and namespace receive each other's commands. So it runs in a domain of its own, above the domains that users
+choose (0 to 101). The graph cannot be discovered from other machines. While the graph runs, its domain refuses nodes
+that were not started for it.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from collections.abc import Iterator
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Environment variables of the discovery range; the second one is the older, deprecated form.
+#: Environment variables of the discovery range; the second one is deprecated.
 RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
 
-#: Environment variable with further machines to discover.
+#: Environment variable with the addresses of further machines to discover.
 STATIC_PEERS = "ROS_STATIC_PEERS"
 
 
@@ -60,29 +60,29 @@ def is_name(words: str) -> bool:
     return words.startswith("/")
 
 
-#: Domains whose ports are above the ephemeral ports of Linux, and whose port for the claim is a valid port number.
+#: Domains whose ports are above the ephemeral ports of Linux; the port of a claim is still a valid port number.
 DOMAINS = range(231, 214, -1)
 
 #: Environment variable with the number of the isolated domain for which a process was started.
 OWN = "HYSTERESIS_DOMAIN"
 
-#: Number of participants whose ports are checked: all possible participants, because the first ones may have left.
+#: Number of participants whose ports are checked: all possible ones, because the first ones may have left.
 _PARTICIPANTS = 120
 
 #: Port offset of a claim, which is the offset of the last of 120 participants.
 _CLAIM = 249
 
 
-#: Counter of the claims of this process, which selects the first domain that the next claim tries.
+#: Counter of the claims of this process; it selects the domain that the next claim tries first.
 _turns = itertools.count()
 
 
 class Domain:
     """A ROS domain that no other process on this machine uses, reserved until :meth:`close`.
 
-    The claim is a bound port of the domain. The operating system gives the port to only one process, of any user, and
-    releases it however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed, even if no node
-    uses it. Use the object in a ``with`` statement, or close it.
+    The claim is a bound port of the domain. The operating system gives the port to one process at a time, of any user,
+    and releases it however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed, even if no
+    node uses it. Use the object in a ``with`` statement, or close it.
     """
 
     def __init__(self):

@@ -41,7 +41,7 @@ from hysteresis_ros.nodes.timing import CountedRate
 from hysteresis_ros.references import inchworm_layout as gait
 from hysteresis_ros.units import readable
 
-#: Minimum duration of a sample [periods] for its time to be attributed to the driver.
+#: Duration of the longest sample [periods] from which the driver is named as the cause of skipped samples.
 IN_DRIVER = 10.0
 
 
@@ -74,7 +74,7 @@ class LoopPace:
         self._last = time.monotonic()
 
     def restart(self) -> None:
-        """Discard the last samples, so that a pause does not affect the rate."""
+        """Discard the samples so far, so that a pause does not affect the rate."""
         self._rate.restart()
         self._rate.begin(time.monotonic(), self.total)
 
@@ -85,23 +85,22 @@ class LoopPace:
         return rate, loop.lateness().p99 if loop is not None else 0.0
 
 
-#: Time for the voltage to reach its safe value before the loop of an exiting node ends [s].
+#: Time in which the voltage can reach its safe value before the loop of an exiting node ends [s].
 RETURN = 2.0
-#: Maximum time for which Python blocks a loop that applies a change [s].
+#: Switch interval of Python's threads, which limits how long they delay a loop that applies a change [s].
 SWITCH_INTERVAL = 5e-4
 
 #: Maximum time for which Python blocks a loop that calls a driver in Python [s].
 PYTHON_SWITCH_INTERVAL = 1e-4
 
-#: Time after which a loop that is not ready is assumed to be compiling [s]; loading compiled code from the cache takes
-#: less.
+#: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
 COMPILING_TEXT = (
     "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start loads it "
     "from the cache"
 )
 
-#: Parts of the loop that are stopped while their nodes are inactive, in the order of their restart.
+#: Nodes whose parts of the loop are stopped while the nodes are inactive, in the order of their restart.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
@@ -204,7 +203,7 @@ class FusedAxis:
             loop.halt()
 
     def _enter(self, loop: FusedLoop, axis: Axis) -> None:
-        """Give the nodes their parts of a loop that is about to start; apply the state of the nodes to the loop."""
+        """Give the nodes their parts of a loop before it starts, and apply the state of the nodes to the loop."""
         self.axis, self.loop = axis, loop
         self._over = self._leaving = False
         self._told.clear()
@@ -269,7 +268,7 @@ class FusedAxis:
         return self._missed if self.loop is None else self.loop.missed
 
     def lose_a_part(self) -> None:
-        """Move all outputs to safe values and end the loop; a new one starts when all nodes are active again."""
+        """Move all outputs to safe values and end the loop; a new loop starts when all nodes are active again."""
         self._make_safe()
         self.end()
 
@@ -294,7 +293,7 @@ class FusedAxis:
         return bool(sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2)
 
     def await_samples(self, count: int) -> None:
-        """Wait for a number of further samples, as long as the loop advances."""
+        """Wait for ``count`` further samples, as long as the loop advances."""
         loop = self.loop
         if loop is None:
             return
@@ -308,7 +307,7 @@ class FusedAxis:
             return
         whole = node.kind == "plant_simulator"
         if whole:
-            # a reset part outputs its voltage at rest, so from any other state the voltage would step
+            # first make safe: a part that is reset outputs its voltage at rest, so the voltage could step
             self._make_safe()
         axes = self.together if whole else [self]
         for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
@@ -334,7 +333,7 @@ class FusedAxis:
         self.apply_together({self: Change(self.loop.sample, name, action, parameters or {})})
 
     def apply_together(self, changes: Mapping[FusedAxis, Change]) -> None:
-        """Apply a change to each of several axes from the same sample on, and wait until they are in effect."""
+        """Apply a change to each of several axes before the same sample, and wait until they are in effect."""
         assert self.loop is not None
         self.loop.apply_together({one.place: change for one, change in changes.items()})
 
@@ -344,7 +343,7 @@ class FusedAxis:
             self.loop.set(setpoint, request, speed, self.place)
 
     def pulse(self) -> None:
-        """Pulse the trigger input of the axis with the next sample."""
+        """Give the trigger input of the axis a pulse in the next sample."""
         if self.loop is not None:
             self.loop.pulse(self.place)
 
@@ -360,9 +359,9 @@ class FusedAxis:
         try:
             recovered = [one.plant.part.recover() for one in self.together]
         except DriverError:
-            return  # the plant states this error, and stays tripped
+            return  # the plant reports this error, and stays tripped
         if any(recovered):
-            self.await_samples(2)  # these include a sample of the stopped axis with the safe voltage
+            self.await_samples(2)  # one of them is complete, and outputs the safe voltage of the stopped axis
         self._start("plant_simulator", self.together)
         for name in STOPPABLE:
             self._start(name, [one for one in self.together if one.nodes[name].running])
@@ -388,7 +387,7 @@ class FusedAxis:
         return self.loop.latest(self.place)
 
     def show(self) -> None:
-        """Publish the last sample, the changes and the end of the run; the sample has the same number for all axes."""
+        """Publish the last sample, with the same number for all axes, the changes, and the end of the run."""
         loop = self.loop
         if loop is None or self._over:
             return
@@ -423,9 +422,9 @@ class FusedAxis:
         driver = self.plant.parameters.driver
         watchdog = self.plant.part.capabilities.watchdog if driver else None
         acts = (
-            f"makes it safe after {watchdog:g} s without a voltage"
+            f"makes the device safe after {watchdog:g} s without a voltage"
             if watchdog
-            else "does not exist, so nothing makes it safe"
+            else "does not exist, so the device keeps its last voltage"
         )
         return (
             f"driver {driver} has not returned from sample {self.loop.sample} for {self.loop.patience:g} s: "
@@ -466,7 +465,7 @@ class FusedAxis:
 def skipped_text(rate: float, limit: int, found: Lateness, driver: str) -> str:
     """Return why the loop at ``rate`` [Hz] has stopped after more than ``limit`` skipped samples, and a remedy.
 
-    A sample that took several periods waited in the ``driver``, if there is one, and not for the processor.
+    If a sample took several periods and there is a ``driver``, the driver is the cause and not the processor.
     """
     remedy = "give the loop a core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate"
     taken = f"99 % of all samples began within {1e6 * found.p99:.3g} µs"
@@ -483,9 +482,9 @@ def skipped_text(rate: float, limit: int, found: Lateness, driver: str) -> str:
 
 
 def _hold_the_lock_briefly(realtime: RealtimeParameters) -> None:
-    """Shorten the times for which this process holds Python's lock, because the loop waits for the lock in each sample.
+    """Shorten the times for which this process holds Python's lock, which the loop needs in each sample.
 
-    Afterwards, the garbage collector examines only new objects, and other programs do not interrupt the calling thread,
+    Afterwards the garbage collector examines only new objects, and other programs do not interrupt the calling thread,
     which publishes the samples.
     """
     gc.collect()
@@ -531,7 +530,7 @@ class Fused(RealTime):
         return LoopPace(self.fused)
 
     def begin(self) -> None:
-        """Report that this node is active; the last active node of an axis starts the loop."""
+        """Report that this node is active; the last node of an axis to become active starts the loop."""
         super().begin()
         self.fused.activated(self.node)
 
@@ -556,7 +555,7 @@ class Fused(RealTime):
             self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
 
     def stop_time(self) -> None:
-        """End the loop if the process exits; otherwise let it continue in the safe state."""
+        """End the loop if the process exits; otherwise the loop continues in the safe state."""
         if self.node.leaving:
             self.fused.end()
 

@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Longest ramp to the safe voltage when the node exits [s]; after this time the voltage steps to the safe voltage.
+#: Longest ramp to the safe voltage at exit [s]; after this time the voltage steps to the safe voltage.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)
@@ -37,8 +37,8 @@ class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
 
     Missing commands are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.compensator`). In real time
-    the commands may come from any node, and samples are counted by the clock while no commands arrive. At exit the
-    voltage returns to ``safe_voltage``.
+    the commands may come from any node; while no commands arrive, the clock counts the samples. At exit the voltage
+    returns to ``safe_voltage``.
     """
 
     parameters: CompensatorNodeParameters
@@ -107,7 +107,7 @@ class HysteresisCompensatorNode(Responder):
         return self.parameters.command_timeout
 
     def read(self, message, row) -> bool:
-        """Write into a row whether the axis is stopped, and, for an adaptive inverse, the measurement."""
+        """Write into a row whether the axis is stopped, and the measurement if the inverse is adaptive."""
         if self.part.adaptation is not None:
             return super().read(message, row)
         self.read_trip(message, row)
@@ -118,7 +118,7 @@ class HysteresisCompensatorNode(Responder):
         self.refused += 1
         self.warn("command", f"command = {data} m refused; {self.compensator.command:.6g} m is kept")
         if not self.runner.exact and self.sample:
-            self.publish_outputs()  # exactly one voltage for every command, because the plant counts the voltages
+            self.publish_outputs()  # the plant counts the voltages, so every command needs exactly one voltage
 
     def after_step(self) -> None:
         """Log changes of mode."""
@@ -205,7 +205,7 @@ class HysteresisCompensatorNode(Responder):
         return {AMPLIFIER: self.compensator.limits.limited_samples}
 
     def release(self) -> None:
-        """Log once, at the end of the run, for how long the limits restricted the voltage."""
+        """Log once, at the end of the run, how long the limits restricted the voltage."""
         if self.part is None or self._told:
             return
         self._told = True
@@ -220,7 +220,7 @@ class HysteresisCompensatorNode(Responder):
         return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
 
     def health(self):
-        """Report saturation, silence and refused commands."""
+        """Report saturation, missing commands and refused commands."""
         values = {
             "voltage_v": f"{self.voltage:.6g}",
             "saturated_samples": self.compensator.limits.limited_samples,
@@ -251,7 +251,7 @@ class HysteresisCompensatorNode(Responder):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([HysteresisCompensatorNode], arguments)
 
 

@@ -31,7 +31,7 @@ from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.references import inchworm_layout as at
 
-#: Time to close both clamps when the node exits or measurements stop [s].
+#: Time to close both clamps when the node exits [s].
 CLOSING_TIME = 0.3
 
 #: Message of each error.
@@ -51,16 +51,16 @@ _REFER = interpreted(refer)
 class InchwormSequencerNode(ReferenceSource):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
-    Setpoints [m] and speeds [m/s] are accepted at any time. One request (start, stop, home, release) takes effect per
-    sample, in the order of the calls. ``~/state`` contains setpoint, speed and request of each sample, so
-    that a run can be repeated offline bit for bit.
+    Setpoints [m] and speeds [m/s] are accepted at any time. Requests (start, stop, home, release, …) take effect in the
+    order of the calls, at most one per sample. ``~/state`` contains setpoint, speed and request of each sample, so that
+    a run can be repeated offline bit for bit.
 
     In the safe state both clamps are closed, which needs voltage: without voltage they open. At exit, and when
     measurements stop, the node closes the open clamps and leaves the voltages of the clamps on.
     """
 
     parameters: InchwormSequencerNodeParameters
-    # origin before reference: a node that receives a reference already has its origin
+    # origin before reference, so that a node that receives a reference already has its origin
     outputs = (
         ("origin", signals.ORIGIN),
         ("reference", signals.REFERENCE),
@@ -114,7 +114,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     def _look_for_the_others(self) -> None:
         if self.active and not self._complete:
-            # while no node drives the extender, its steps would count as missed
+            # without these nodes the extender does not move, and its steps would count as missed
             topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
             self._complete = self.all_matched() and all(self.count_publishers(topic) for topic in topics)
 
@@ -141,8 +141,8 @@ class InchwormSequencerNode(ReferenceSource):
             return reason
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
-            # the sequencer accepts only a setpoint that differs from the last setpoint, so an equal setpoint is changed
-            # by the least possible amount
+            # the sequencer accepts only a setpoint that differs from the last one, so an equal setpoint is changed by
+            # the smallest possible amount
             low, high = self.sequencer.parameters.minimum, self.sequencer.parameters.maximum
             value = math.nextafter(value, high if value < 0.5 * (low + high) else low)
         self.setpoint = value
@@ -270,7 +270,7 @@ class InchwormSequencerNode(ReferenceSource):
         """Whether measurements have stopped."""
         return not self.runner.exact and self.runner.silent
 
-    #: Both clamps close as soon as measurements have stopped; missed samples are not repeated.
+    #: Always true: both clamps close as soon as measurements stop, and missed samples are not repeated.
     is_stale = True
 
     def say_silent(self) -> None:
@@ -278,7 +278,7 @@ class InchwormSequencerNode(ReferenceSource):
         self.warn("stale", f"no joint_states for {self.parameters.measurement_timeout:g} s: both clamps close")
 
     def miss(self, samples: int) -> None:
-        """Process samples without a measurement: open clamps close. Only the voltages are published."""
+        """Process samples without a measurement: open clamps close. Publish only the voltages."""
         self.row[signals.REQUEST], self.row[signals.SPEED] = 0.0, math.nan
         self.row[signals.TRIGGER_IN] = 0.0
         for _ in range(samples):
@@ -293,7 +293,7 @@ class InchwormSequencerNode(ReferenceSource):
                 publisher.publish(self._message)
 
     def go_safe(self) -> None:
-        """Close the open clamps and leave their voltages on; do nothing in lockstep, where time does not advance."""
+        """Close open clamps and leave the clamp voltages on; do nothing in lockstep, where time does not advance."""
         if self.runner.exact or not self.sample:
             return
         x = self.sequencer.x
@@ -304,7 +304,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # at the speed of the gait both clamps would close too late, so the grip voltage is output without a ramp
+        # the clamps have not closed in time at the speed of the gait, so the grip voltage is output without a ramp
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()
@@ -320,7 +320,7 @@ class InchwormSequencerNode(ReferenceSource):
     def health(self):
         """Report errors with a remedy, missed steps, refused setpoints, and the state of the motor."""
         sequencer, x = self.sequencer, self.sequencer.x
-        # in real time, a long time since the last answered sample means that measurements are missing
+        # in real time, measurements are missing if the last answered sample is long ago
         stale = self.stale or (not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate))
         values = {
             "setpoint_m": f"{self.setpoint:.9g}",
@@ -353,7 +353,7 @@ class InchwormSequencerNode(ReferenceSource):
         if missed:
             return 1, f"{missed} steps missed, slip of the last step {1e6 * x[at.SLIP]:.3g} um", values
         if x[at.LIMITED_SPEED]:
-            return 1, f"slower than {x[at.SPEED]:g} m/s: the steps slip", values
+            return 1, f"the steps slip: the speed is below the requested {x[at.SPEED]:g} m/s", values
         return (1, f"{refused} setpoints or speeds refused", values) if refused else (0, "", values)
 
     def _walk_values(self) -> dict[str, str]:
@@ -369,7 +369,7 @@ class InchwormSequencerNode(ReferenceSource):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([InchwormSequencerNode], arguments, steered=True)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Start the processes of a graph, tie them to the process that started them, and stop them in order; imports no ROS."""
+"""Start the processes of a graph, end them with the process that started them, stop them in order; imports no ROS."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 
 _PR_SET_PDEATHSIG = 1
 
-#: Commands that start nodes but leave them running when SIGTERM or SIGKILL ends the command.
+#: Commands of ``ros2`` whose nodes continue to run when SIGTERM or SIGKILL ends the command.
 STARTERS = ("launch", "run")
 
 
 def die_with_parent(parent: int) -> None:
-    """On Linux, end this child process with its parent; call it in the child, or as its ``preexec_fn``."""
+    """On Linux, end this child process when its parent ends; call it in the child, or as its ``preexec_fn``."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:
@@ -60,9 +60,9 @@ def starts_nodes(command: list[str]) -> bool:
 def leave_with_ros2() -> bool:
     """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it has ended.
 
-    Return whether one of these commands has started the process. Both commands pass on only Ctrl-C: when SIGTERM ends
-    them, for instance from a service manager, their nodes continue to run the axis. The exit of any other parent, such
-    as a shell that has started a node in the background, has no effect.
+    Return whether one of these commands has started the process. Both commands pass only Ctrl-C on to their nodes: when
+    SIGTERM ends them, for instance from a service manager, the nodes continue to run the axis. The exit of any other
+    parent, such as a shell that has started a node in the background, has no effect.
     """
     parent = os.getppid()
     with contextlib.suppress(OSError):
@@ -73,7 +73,7 @@ def leave_with_ros2() -> bool:
     return False
 
 
-#: Order in which nodes are stopped: the voltage returns to its safe value while the plant still runs; the recorder is
+#: Order in which nodes are stopped, so that the voltage reaches its safe value while the plant runs; the recorder is
 #: last.
 STOP_ORDER = (
     "reference_generator",
@@ -87,7 +87,7 @@ STOP_ORDER = (
     "recorder",
 )
 
-#: Argument of a composed process without a plant.
+#: Argument of a composed process that has no plant node.
 EXTERNAL_PLANT = "--external-plant"
 
 #: Time for a node to exit before it is killed [s].
@@ -103,7 +103,7 @@ def require_messages(stage: StageParameters) -> None:
         raise ConfigurationError(
             f"time_mode = 'realtime': {rate:g} samples/s are too many for the messages between the nodes of a stage, "
             f"whose limit is {HIGHEST_MESSAGE_RATE:g} Hz: run it fused (hysteresis up CONFIG --fused), in "
-            "lockstep (--rate lockstep), or slow the time down (--factor)"
+            "lockstep (--rate lockstep), or with a lower real-time factor (--factor)"
         )
 
 
@@ -247,7 +247,7 @@ class Graph:
             self._stack.enter_context(session(self.environment))
 
     def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
-        """Start the nodes of all axes: one process per kind of node, or a single process, which a fused stage needs."""
+        """Start the nodes of all axes: one process per kind of node, or one in all, which a fused stage needs."""
         axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
         path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
         fused = stage.stage.time_mode == "fused"
@@ -273,8 +273,8 @@ class Graph:
         ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
         dead = [node for node in ended if node.process.returncode != 0]
         if dead:
-            # one failed node soon ends other nodes, so killed nodes and refused parameters are reported first, as
-            # probable causes
+            # one failed node soon ends other nodes; killed nodes and refused parameters are the probable causes, so
+            # they are reported first
             first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
             code = first.process.returncode
             self.stop()
@@ -285,13 +285,13 @@ class Graph:
             if time.monotonic() - self._first_left > PATIENCE:
                 names = ", ".join(node.full_name for node in ended)
                 self.stop()
-                raise GraphError(f"{names} exited early; the other nodes were stopped", 1)
+                raise GraphError(f"{names} exited before the other nodes, which were stopped", 1)
         return None in codes
 
     def _is_lost_recorder(self, node: NodeProcess) -> bool:
-        """Return whether a node is a recorder that died on an axis in real time; such an axis continues without it.
+        """Return whether a node is a recorder that died while its axis, in real time, continues without it.
 
-        In contrast, a recorder that fails to start ends the run, and lockstep needs every partner.
+        A recorder that fails to start ends the run; so does any lost node in lockstep.
         """
         if node.name != "recorder" or node.process.poll() in (None, 0, 2):
             return False
@@ -309,8 +309,9 @@ class Graph:
     def stop(self) -> None:
         """Stop all running processes; kill those that do not exit in time.
 
-        In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would break
-        the run. A signal takes effect only when all have exited, because until then they write to the caller's folders.
+        In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would make
+        the others report an error. Signals take effect only when all processes have exited, because until then these
+        write to the caller's folders.
         """
         with _signals_held_back():
             self._stop()
@@ -365,7 +366,7 @@ def node_command(
 
 @contextlib.contextmanager
 def session(environment: dict[str, str]) -> Iterator[None]:
-    """Keep a process in the graph to execute the user's commands, unless each command needs its own enclave."""
+    """Keep a process in the graph that executes the user's commands, unless each command needs its own enclave."""
     if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
         yield
         return
@@ -379,8 +380,8 @@ def session(environment: dict[str, str]) -> Iterator[None]:
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
     """Start a process that ends when this process ends."""
-    # In a separate session, so that Ctrl-C in a terminal reaches only this process, which then stops the nodes in
-    # order.
+    # in a session of its own, so that Ctrl-C in a terminal reaches only this process, which then stops the nodes in
+    # order
     guard = partial(die_with_parent, os.getpid())
     return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
 
@@ -391,7 +392,7 @@ def _how_it_ended(node: NodeProcess) -> str:
 
 
 def _require_creatable(folder: pathlib.Path) -> None:
-    """Raise ConfigurationError when a folder cannot be created; created parents are kept."""
+    """Raise ConfigurationError if a folder cannot be created; created parent folders are kept."""
     try:
         folder.mkdir(parents=True)
         folder.rmdir()

@@ -19,9 +19,9 @@ from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Runner
 
-#: Time-out of the first sample [s], long enough for discovery, and for compilation of the kernels on a machine without
-#: a cache. A node that has answered sample 0 also waits this long: because of a recorder's subscription, the node
-#: counts as matched before its partner is present.
+#: Time-out of the first two samples [s], long enough for discovery, and for compiling the kernels without a cache. It
+#: also applies to sample 1, because a recorder's subscription can make a node answer sample 0 before its partner is
+#: present.
 STARTUP_TIMEOUT = 120.0
 
 #: Interval between checks for silent partners, and between checks of the publishers of the inputs [s].
@@ -32,10 +32,11 @@ _FAILED = "failed: "
 #: Maximum length of another node's failure message that is passed on [characters].
 LONGEST_REASON = 1000
 
-#: All nodes wait for the plant, and the plant waits for all nodes: a node that waits only for the plant reports last.
+#: All nodes wait for the plant, and the plant waits for all nodes, so a node that waits only for the plant reports
+#: last.
 PLANT = "plant_simulator"
 
-#: Remedy when the nodes of a run are inconsistent.
+#: Remedy if the nodes of a run are inconsistent.
 TOGETHER = "start or reset all nodes together"
 
 
@@ -48,7 +49,7 @@ class Partners:
         self.forget()
 
     def add(self, topic: str, partner: str) -> None:
-        """Monitor the publisher of ``topic`` (full name), called ``partner`` in messages."""
+        """Monitor the publisher of ``topic`` (full name); messages call it ``partner``."""
         self._inputs.append((topic, partner))
 
     def clear(self) -> None:
@@ -82,8 +83,8 @@ class Partners:
             elif topic in self._absent:
                 return f"{partner} vanished at sample {sample} (topic {topic})"
             else:
-                # the end mark may still be in the queue, so a publisher counts as lost only if it is absent in two
-                # checks
+                # the end mark may still be in the queue, so a publisher counts as lost only if two checks do not find
+                # it
                 self._absent.add(topic)
         return ""
 
@@ -117,10 +118,10 @@ class Lockstep(Runner):
         """Do nothing after a reset: all nodes are reset together."""
 
     def leave(self) -> None:
-        """Do nothing: the other nodes detect the stop of this node from its silence."""
+        """Do nothing: the other nodes notice from its silence that this node has stopped."""
 
     def end(self) -> None:
-        """End the run at deactivation: the next one starts at sample 0."""
+        """End the run at deactivation; the next run starts at sample 0."""
         self.clear()
         self.node.reset_blocks()
 
@@ -145,19 +146,19 @@ class Lockstep(Runner):
             self.reset_pending = False
             return True
         if self.reset_pending:
-            return False  # the sample was sent before the reset; sample 0 has not arrived yet
+            return False  # sent before the reset; sample 0 has not arrived yet
         if index == 0:
             place = f"{node.get_name()} is at {node.sample}"
             node.fail(f"plant_simulator restarted at sample 0 while {place}; {TOGETHER}")
         elif index < node.sample:
-            node.warn("repeat", f"sample {index} arrived a second time, rejected; the next is sample {node.sample}")
+            node.warn("repeat", f"sample {index} arrived again and was rejected; the next sample is {node.sample}")
         else:
             place = f"{node.get_name()} awaits {node.sample}"
             node.fail(f"sample {index} arrived while {place}: it joined late or samples were lost; {TOGETHER}")
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
-        """Return whether more messages arrived than samples need; the surplus cannot be assigned, so the run ends."""
+        """Return whether more messages arrived than samples need; the run then ends, because they fit no sample."""
         if count <= allowed:
             return False
         what = f"{topic} has {count} messages at sample {self.node.sample}"
@@ -172,14 +173,14 @@ class Lockstep(Runner):
         return self._matched
 
     def heard(self) -> None:
-        """Record the arrival of an awaited message, which restarts the time-out of the partners."""
+        """Record that an expected message has arrived, which restarts the time-out of the partners."""
         self._heard_new = True
 
     def advance(self) -> None:
-        """Process complete samples; overridden by runners that answer samples."""
+        """Process complete samples; runners that answer samples override this."""
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when all inputs have arrived."""
+        """Return the partner whose input for the present sample is missing; empty if all inputs have arrived."""
         return self.node.missing_partner()
 
     # -- partners ----------------------------------------------------------------------------------------------
@@ -240,7 +241,7 @@ class LockstepResponder(Lockstep):
         super().clear()
         inputs = self.node.inputs
         self._counts = [0] * len(inputs)
-        # number of messages of each input that sample 0 needs; each further sample needs one more
+        # number of messages of each input that sample 0 needs; each later sample needs one more
         self._ahead = [0 if input_.previous else 1 for input_ in inputs]
         self._stamp = None
 

@@ -9,14 +9,14 @@
 
 """One active publisher: a node runs only once in a ROS domain, and each of its inputs accepts only one publisher.
 
-A node claims its name on this machine, because discovery would report a second graph only after both graphs have moved.
-The kernel releases the claim when the process ends, however it ends.
+A node claims its name on this machine, because discovery would report a second graph only when both graphs already move
+the axis. The kernel releases the claim however the process ends.
 
-A node accepts an input only from the publisher that sent the first message. It recognises the publisher by its identity
-(GID), which rclpy does not pass to callbacks. Silence does not release the input: when the active publisher has been
-silent for the time-out of the input, or has left the graph, only a publisher of a node with the same full name replaces
-it. Any other publisher is accepted only after ``~/reset`` of the receiving node, or after a new configuration. Messages
-of a competing publisher have no effect, and diagnostics name both publishers.
+A node accepts an input only from the publisher that sent the first message. It recognises this publisher by its
+identity (GID), which rclpy does not pass to callbacks. If the active publisher has been silent for the time-out of the
+input, or has left the graph, a publisher of a node with the same full name can replace it. Any other publisher can do
+so only after ``~/reset`` of the receiving node, or after a new configuration. Messages of a competing publisher have no
+effect, and diagnostics name both publishers.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from hysteresis_ros.nodes.domain import is_name, named, reaches_others
 CLAIM_PATIENCE = 5.0
 #: Interval between two attempts to claim a node [s].
 CLAIM_LOOK = 0.1
-#: Part of the message of a refused claim, by which the campaign recognises it.
+#: Part of the message about a refused claim; the fault campaign recognises the message by it.
 RUNS_ONCE = "an axis runs each node once"
 
 
@@ -54,7 +54,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return number and command line of the process that has claimed a node; empty if no process has."""
+    """Return number and command line of the process that has claimed a node; empty without a claim."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -73,9 +73,9 @@ def holder(domain: int, name: str) -> str:
 
 
 def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.socket | None:
-    """Claim a node of a domain on this machine, until the returned socket is closed or the process ends.
+    """Claim a node of a domain on this machine; the claim ends when the returned socket is closed or the process ends.
 
-    ``patience`` is the time to wait for a process that is about to exit [s].
+    ``patience`` is the time to wait for another process that is about to exit [s].
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -122,7 +122,7 @@ class _Information(ctypes.Structure):
 
 
 def _function(capsule, result, *arguments):
-    """Return a C function that a type support offers as a pointer in a capsule."""
+    """Return the C function to which a capsule of a type support points."""
     api = ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
@@ -131,9 +131,9 @@ def _function(capsule, result, *arguments):
 
 
 class IdentifiedSubscription(Waitable):
-    """A subscription that passes the publisher's identity with each message, and exists as long as its node.
+    """A subscription that passes the publisher's identity with each message; it exists as long as its node.
 
-    rclpy's EventsExecutor ends the process when such a waitable is removed while messages arrive.
+    It is never removed, because rclpy's EventsExecutor ends the process if a waitable is removed while messages arrive.
     """
 
     def __init__(self, node, message_type, topic: str, callback, qos, events):
@@ -181,7 +181,7 @@ class IdentifiedSubscription(Waitable):
         return wait_set.is_ready("subscription", self._index)
 
     def take_data(self):
-        """Take a message; None when no message waits."""
+        """Take a message; None if no message waits."""
         information = ctypes.addressof(self._information)
         if self._take(self._handle.pointer, self._message, information, None) or self._callback is None:
             return None
@@ -198,7 +198,7 @@ class IdentifiedSubscription(Waitable):
 #: Default time-out of an input [s].
 PATIENCE = 1.0
 
-#: Interval between checks for a halt of this process [s], and delay of a check that indicates a halt [intervals].
+#: Interval between checks whether this process was halted [s], and delay of a check that shows this [intervals].
 LOOK, LATE = 0.01, 3.0
 
 #: Time to discover nodes of other machines, and interval between checks for competing nodes [s].
@@ -207,17 +207,17 @@ DISCOVERY, TURN = 2.0, 0.05
 #: Interval between two reports of refused messages [s].
 TELL = 10.0
 
-#: Interval between checks whether an active publisher has left the graph while a competing publisher sends [s]. A check
-#: takes as long as processing ten messages.
+#: While a competing publisher sends: interval between checks whether the active publisher has left the graph [s]. A
+#: check takes as long as processing ten messages.
 GRAPH_LOOK = 0.02
 
-#: Number of competing publishers whose last check is stored.
+#: Number of competing publishers for which the time of the last check is stored.
 MOST_RIVALS = 64
 
-#: Interval between searches for the unknown name of an active publisher [s].
+#: Interval between searches for the name of an active publisher while it is unknown [s].
 FIND = 0.2
 
-#: What to do about two active publishers.
+#: Remedy for two publishers of one input.
 REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
 
@@ -262,13 +262,13 @@ class Master:
             return True
         self.refused += 1
         self._rival = identity
-        if now - self._told > TELL:  # looking up names is too slow for every message of a flood
+        if now - self._told > TELL:  # looking up the names for every message is too slow in a flood
             self._told = now
             masters.warn(self)
         return False
 
     def find(self) -> None:
-        """Store the active publisher's name and presence in the graph; both are needed to detect its replacement."""
+        """Store the active publisher's name and presence in the graph, which are needed to detect its replacement."""
         if not self.identity or (self._was_there and self.name):
             return
         masters = self._masters
@@ -276,9 +276,9 @@ class Master:
         self.name = self.name or masters.full_name(self.topic, self.identity)
 
     def _follows(self, identity: bytes, now: float) -> bool:
-        """Return whether another publisher replaces the active publisher, which is silent or has left the graph.
+        """Return whether another publisher may replace the active publisher, which is silent or has left the graph.
 
-        Only a node with the same full name replaces it automatically; any other node needs the user's permission.
+        A node with the same full name replaces it automatically; any other node needs the user's permission.
         """
         masters = self._masters
         if now - self._looked.get(identity, -math.inf) < GRAPH_LOOK:
@@ -319,7 +319,7 @@ class Masters:
     # -- inputs ----------------------------------------------------------------------------------------------------
 
     def add(self, message_type, topic: str, callback, qos, events):
-        """Subscribe to an input; the subscription remains after cleanup and is used again."""
+        """Subscribe to an input; the subscription is kept at cleanup and used again."""
         master = Master(self, self._node.resolve_topic_name(topic), callback)
         self._inputs.append(master)
         key = (topic, message_type, qos.depth, qos.reliability, qos.durability)
@@ -339,7 +339,7 @@ class Masters:
             master.released = True
 
     def publisher_of(self, topic: str) -> str:
-        """Return the full name of the node that publishes an input; empty while it is not known."""
+        """Return the full name of the node that publishes an input; empty while it is unknown."""
         full = self._node.resolve_topic_name(topic)
         return next((master.name for master in self._inputs if master.topic == full), "")
 
@@ -396,11 +396,11 @@ class Masters:
         return next((name for name in names if is_name(name)), "")
 
     def name_of(self, topic: str, identity: bytes) -> str:
-        """Return the full name of the node of a publisher, or the candidates when the publisher is unknown."""
+        """Return the full name of the node of a publisher, or the possible names if the publisher is unknown."""
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if not identity or bytes(endpoint.endpoint_gid) == identity}
         text = " or ".join(sorted(names))
-        if is_name(text):  # known names are kept after the node has left
+        if is_name(text):  # keep the name for messages after the node has left
             self._names[identity] = text
         return self._names.get(identity) or text or "a node that has left the graph"
 
@@ -413,7 +413,7 @@ class Masters:
         )
 
     def replaced(self, master: Master) -> None:
-        """Tell the runner that another process of the same node publishes an input, unless the user has allowed it."""
+        """Inform the runner that another process of the same node publishes an input, unless the user allowed it."""
         if not master.released:
             self._node.runner.replaced(master.topic, master.name)
 
@@ -439,7 +439,7 @@ class Masters:
 def publishers(node, topic: str) -> list[str]:
     """Return the full names of the nodes that publish a topic of the loop, except joint_states, which may have many.
 
-    A killed node stays in the graph for some seconds together with its replacement, so equal names count once.
+    Equal names count once, because a killed node stays in the graph for some seconds together with its replacement.
     Publishers without a known name are all counted.
     """
     if node.count_publishers(topic) < 2:
@@ -450,7 +450,7 @@ def publishers(node, topic: str) -> list[str]:
 
 
 def rivals(node) -> list[str]:
-    """Return the nodes that compete with a node before its activation, by the same published topics or the same name.
+    """Return the nodes that compete with a node before its activation: they publish the same topics or have its name.
 
     A publisher without a known name is ignored: it may belong to a node that has just left the graph and has no effect.
     """
@@ -475,7 +475,7 @@ def require_alone(node) -> None:
 
 
 def await_discovery(nodes: list) -> None:
-    """If other machines are reachable, wait for the discovery of their nodes, or until a competing node is found."""
+    """If other machines are reachable, wait until their nodes are discovered, or until a competing node is found."""
     until = time.monotonic() + (DISCOVERY if reaches_others() else 0.0)
     while time.monotonic() < until and not any(map(rivals, nodes)):
         time.sleep(TURN)

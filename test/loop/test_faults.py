@@ -348,7 +348,7 @@ def test_a_time_out_shorter_than_a_sample_is_refused_by_name(name, node, timeout
     with pytest.raises(ParameterError) as error:
         parameters(name, **{node: {timeout: 0.004}})
     (problem,) = error.value.problems
-    assert problem.name == f"{node}: {timeout}" and "shorter than a sample of 0.005 s" in problem.remedy
+    assert problem.name == f"{node}: {timeout}" and "must be at least one sample, 0.005 s" in problem.remedy
     assert getattr(getattr(parameters(name, **{node: {timeout: 0.005}}), node), timeout) == 0.005
 
 
