@@ -107,7 +107,7 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 class FusedAxis:
     """The nodes of one axis in this process, and its loop, which runs once all nodes of the loop are active.
 
-    The axes of a stage share one loop, in which each axis has an index. They start, stop and reset together.
+    The axes of a stage share one loop, in which each axis has an index; they start, stop and reset together.
     """
 
     def __init__(self, first: FusedAxis | None = None, stage: StageParameters | None = None):

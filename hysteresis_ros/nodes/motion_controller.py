@@ -35,17 +35,16 @@ from hysteresis_ros.nodes.quiet import QuietHold
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 
-#: Relative threshold of saturation, as a fraction of the largest achieved command so far; it allows for approximate
-#: inverses.
+#: Threshold of saturation, as a fraction of the largest achieved command so far, because inverses may be approximate.
 FRACTION = 0.05
-#: Absolute threshold of saturation [m], so that rounding errors before the first motion do not count.
+#: Least threshold of saturation [m], so that rounding errors before the first motion do not count.
 SMALLEST = 1e-9
-#: Number of stored commands, larger than the delay of an achieved command on a busy machine [samples].
+#: Number of stored commands; the achieved command arrives within this number of samples even on a busy machine.
 LATENESS = 20
 
 
 class Shortfall:
-    """Compares commands with achieved commands, and stores the largest difference since the last report."""
+    """Compares commands with achieved commands, and stores the largest saturation since the last report."""
 
     def __init__(self):
         self.count = 0
@@ -58,11 +57,11 @@ class Shortfall:
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare an achieved command [m], which may arrive late, with the nearest of the last commands."""
+        """Compare an achieved command [m], which may arrive late, with the closest of the last commands."""
         self._largest = max(self._largest, abs(applied))
         allowed = max(FRACTION * self._largest, SMALLEST)
         if abs(self._sent[-1] - applied) <= allowed:
-            return  # the case of almost every sample
+            return  # true for almost every sample
         wanted = min(self._sent, key=lambda command: abs(command - applied))
         difference = abs(wanted - applied)
         if difference <= allowed:
@@ -72,22 +71,22 @@ class Shortfall:
             self._worst = (wanted, applied)
 
     def report(self) -> str:
-        """Return a sentence about the worst saturation since the last call; empty without saturation."""
+        """Return a sentence about the largest saturation since the last call; empty without saturation."""
         if self._worst is None:
             return ""
         (wanted, applied), self._worst = self._worst, None
         return f"command saturated: commanded {1e6 * wanted:.4g} µm, achieved {1e6 * applied:.4g} µm"
 
 
-#: Log message when the package control_msgs is missing.
+#: Log message if the package control_msgs is missing.
 MISSING = (
     "~/controller_state and ~/pid_state are not published: the package control_msgs is not installed "
-    "(sudo apt install ros-jazzy-control-msgs; there is no wheel of it; controller_state_rate: 0 turns both off)"
+    "(sudo apt install ros-jazzy-control-msgs; it has no wheel; controller_state_rate: 0 turns both topics off)"
 )
 
 
 def message_types() -> tuple[type, type] | None:
-    """Return the types SingleDOFStateStamped and PidState; None when the package control_msgs is not installed."""
+    """Return the types SingleDOFStateStamped and PidState; None if the package control_msgs is not installed."""
     try:
         found = importlib.import_module("control_msgs.msg")
     except ImportError:
@@ -149,14 +148,14 @@ class MotionControllerNode(Responder):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
 
     Missing or wrong measurements are handled in the node's part of the loop (:mod:`hysteresis_ros.loop.controller`). In
-    real time a measurement whose stamp does not follow the last stamp counts as missing; while no measurements arrive,
+    real time a measurement counts as missing if its stamp is not later than the last one; while no measurements arrive,
     the clock counts the samples.
 
-    At exit the node publishes no final command, because that would be a step. After the compensator's time-out the
-    voltage moves to the safe voltage at the compensator's slew rate.
+    At exit the node publishes no last command, because that would be a step. After its time-out the compensator goes to
+    its safe voltage at its slew rate.
 
-    With ``use_origin`` an inchworm_sequencer replaces the reference generator: the controlled variable is the measured
-    joint minus the ``origin`` of every reference.
+    With ``use_origin`` an inchworm_sequencer replaces the reference generator: the controlled variable is the position
+    of the measured joint minus ``origin``, which arrives with every reference.
     """
 
     parameters: ControllerNodeParameters
@@ -181,7 +180,7 @@ class MotionControllerNode(Responder):
         self._connect_part()
         self.compile()
         if parameters.time_mode == "realtime":
-            self.part.prepare()  # otherwise a change of the controller would stop the loop for a compilation
+            self.part.prepare()  # otherwise the loop would wait for a compilation when the controller changes
         self._clear()
 
     def _connect_part(self) -> None:
@@ -230,7 +229,7 @@ class MotionControllerNode(Responder):
         self.part.retune(parameters)
 
     def retuned(self, parameters) -> None:
-        """Use the present controller and log a change of its type."""
+        """Use the present controller; log a change of its type."""
         self._connect_part()
         before = self.parameters.type
         if parameters.type != before:
@@ -284,11 +283,11 @@ class MotionControllerNode(Responder):
 
     @property
     def unpaired(self) -> bool:
-        """Whether the reference of a motor, or its origin, is missing."""
+        """Whether the reference or the origin of a motor is missing."""
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return fields that mark a change that precedes the achieved command of the last sample."""
+        """Return the fields of a change that takes effect before the achieved command of the last sample arrives."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -325,7 +324,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Also write the measured force into the row, which some damping laws require; NaN if no force is measured."""
+        """Also write the measured force, which some damping laws need, into the row; NaN if no force is measured."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name
@@ -439,7 +438,7 @@ class MotionControllerNode(Responder):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([MotionControllerNode], arguments)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Interface of a node to its users: parameters from the tables of the blocks, and services that explain refusals.
+"""Interface of a node to its users: parameters from the tables of the blocks, and services that explain a refusal.
 
 A value of the command line (``-p``) overrides parameter files; rcl does not do this for sections with wildcards. A file
 name that is set over the graph must be in a folder that the user of the node has allowed. No request stops the node.
@@ -73,16 +73,16 @@ def _value(text: str):
     return value
 
 
-#: Limits that protect the connected device, by the last two words of their names, with the sign of a change that widens
-#: the limit.
+#: Limits that protect the connected device: the end of the parameter's name, and the sign of a change that widens the
+#: limit.
 WIDER = {"limits.minimum": -1.0, "limits.maximum": 1.0, "limits.slew_rate": 1.0, "safe_slew_rate": 1.0}
-#: Environment variable with the allowed folders, separated as in PATH. By default the working folder of the node is
-#: allowed, except hidden files.
+#: Environment variable with the allowed folders, separated as in PATH; by default the working folder of the node
+#: without hidden files.
 FOLDERS = "HYSTERESIS_FILES"
 
 
 def misplaced(row: ParameterRow, value) -> Problem | None:
-    """Return the problem of a path that was set over the graph; None if the path is allowed.
+    """Return a Problem if a path must not be set over the graph; None if it may.
 
     Symbolic links and ``..`` are resolved first.
     """
@@ -98,7 +98,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
     try:
         path = pathlib.Path(value).expanduser().resolve()
-        if any(part.is_symlink() for part in (path, *path.parents)):  # Python ≥ 3.13: a loop raises no error
+        if any(part.is_symlink() for part in (path, *path.parents)):  # since Python 3.13 a loop raises no error
             raise OSError("a loop of symbolic links")
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, or a null byte
@@ -114,7 +114,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
 
 
 def _working_folder() -> list[pathlib.Path]:
-    """Return the working folder; an empty list for the root folder, which contains every file."""
+    """Return the working folder, or an empty list if it is the root folder, which contains every file."""
     folder = pathlib.Path.cwd()
     return [folder] if folder != pathlib.Path(folder.anchor) else []
 
@@ -128,7 +128,7 @@ _SETTABLE = {kind.value: kind.name.lower() for kind in Parameter.Type if kind !=
 
 
 def answered(serve):
-    """Return a service that reports errors of ``serve`` in its answer."""
+    """Return a service callback that reports errors of ``serve`` in its answer."""
 
     def answer(request, response):
         try:
@@ -141,14 +141,14 @@ def answered(serve):
 
 
 class GuardedServices(Node):
-    """A node whose services, including those of rclpy, survive any request; list it before rclpy's node class.
+    """A node whose services, including those of rclpy, survive any request; name it before rclpy's node class.
 
-    An exception in a service ends the process without moving the outputs to safe values; rclpy up to 7.1.6 raises an
-    exception, for instance, for a value of an unknown type.
+    An exception in a service would end the process without moving the outputs to safe values; for instance, rclpy up to
+    7.1.6 raises an exception for a value of an unknown type.
     """
 
     def create_service(self, srv_type, srv_name, callback, **options):
-        """Create a service that answers with the reason when its callback raises an exception."""
+        """Create a service that answers with the reason if its callback raises an exception."""
         return super().create_service(srv_type, srv_name, self._guarded(srv_type, srv_name, callback), **options)
 
     def guard_services(self) -> None:
@@ -193,7 +193,7 @@ def _of(error: Exception) -> str:
 
 
 def _why_not(parameter) -> str:
-    """Return why a parameter of a request cannot be set on any node; empty when it can."""
+    """Return why no node could set a parameter of a request; empty if it can be set."""
     if not parameter.name:
         return "a parameter without a name cannot be set: give its name"
     if parameter.value.type not in _SETTABLE:
@@ -212,7 +212,7 @@ def _set_each(request, response, serve):
 
 
 def _refusal(srv_type, request, reason: str):
-    """Return the negative answer of a service, with the reason if the type has a field for it."""
+    """Return the answer of a service that refuses a request, with the reason if the type has a field for it."""
     response = srv_type.Response()
     if srv_type is SetParametersAtomically:
         response.result.reason = reason
@@ -222,10 +222,10 @@ def _refusal(srv_type, request, reason: str):
     return response
 
 
-#: Parameters that ROS itself declares on every node.
+#: Parameters that ROS declares on every node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 
-#: ROS types of the parameter types.
+#: ROS type of each parameter type.
 _TYPES = {
     float: ParameterType.PARAMETER_DOUBLE,
     int: ParameterType.PARAMETER_INTEGER,
@@ -237,7 +237,7 @@ _TYPES = {
 
 
 class TabledParameters(Node):
-    """Mixin that describes a node's parameters to other nodes; list it before the rclpy node class."""
+    """Mixin that describes a node's parameters to other nodes; name it before rclpy's node class."""
 
     interface: ParameterInterface
 
@@ -285,7 +285,7 @@ class ParameterInterface:
     def described(self, descriptor: ParameterDescriptor) -> ParameterDescriptor:
         """Return the published description of a parameter, with its type, its range and whether it can be changed.
 
-        Type and range are not given to rclpy itself, because it would refuse values without naming the allowed ones.
+        rclpy itself does not get type and range, because it would refuse values without naming the allowed ones.
         """
         row = self._rows.get(descriptor.name)
         if row is None:
@@ -340,7 +340,7 @@ class ParameterInterface:
             try:
                 return float(value)
             except OverflowError:
-                return shortened(value)  # a text remains; it is refused later with the parameter's name
+                return shortened(value)  # remains a text, which is refused later with the parameter's name
             except (TypeError, ValueError):
                 return value
         if row.type is str and isinstance(value, int) and not isinstance(value, bool):
@@ -353,7 +353,7 @@ class ParameterInterface:
         return value
 
     def _converted(self, changes):
-        """Convert values to the types in the parameter table before they are set; wrong types are refused later."""
+        """Convert values to the types in the parameter table before they are set; other values are refused later."""
         return [
             Parameter(change.name, value=self._typed(self._rows[change.name], change.value))
             if change.name in self._rows
@@ -372,16 +372,14 @@ class ParameterInterface:
             self._refuse_misplaced(changed)
             self._refuse_beyond_start(changed)
             if own or len(changed) < len(changes):
-                # another callback may refuse its parameters after this one has applied the others, so the change would
-                # not be atomic
+                # not atomic: another callback may refuse its parameters after this one has applied the others
                 raise ParameterError([Problem(", ".join(own), "", "set it alone, not together with other parameters")])
             if self.typed is None:
                 for name, value in changed.items():
                     self._rows[name].convert(value)
             else:
                 self._refuse_read_only(changed)
-                # this is the only callback for these names on this node: accepted values are set immediately and
-                # atomically
+                # no other callback handles these names, so the accepted values are set immediately and atomically
                 typed = self._cls.from_mapping(self._values() | changed)
                 self._apply(typed)
                 self.typed = typed
@@ -390,7 +388,7 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse voltage limits that are wider than at the start of the node, to protect the connected device."""
+        """To protect the connected device, refuse voltage limits that are wider than at the start of the node."""
         beyond = [name for name, value in changed.items() if self._is_beyond(name, value, self._at_start.get(name))]
         if beyond:
             raise ParameterError(
@@ -404,7 +402,7 @@ class ParameterInterface:
             )
 
     def _is_beyond(self, name: str, value, limit) -> bool:
-        """Return whether a value allows more voltage, or faster changes of the voltage, than the limit at the start."""
+        """Return whether a value allows more voltage, or a faster change of it, than the limit at the start."""
         sign = WIDER.get(".".join(name.split(".")[-2:]), 0.0)
         if not sign or self._rows[name].unit not in ("V", "V/s"):
             return False
@@ -415,7 +413,7 @@ class ParameterInterface:
         return sign * value > sign * limit
 
     def _refuse_misplaced(self, changed: dict) -> None:
-        """Refuse paths that must not be set over the graph; the initial values of the node remain allowed."""
+        """Refuse paths that must not be set over the graph; the initial values are always allowed."""
         new = {name: value for name, value in changed.items() if value != self._at_start.get(name)}
         problems = [misplaced(self._rows[name], value) for name, value in new.items()]
         if any(problems):

@@ -38,27 +38,27 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: remaining time [s] from which a wait becomes a sleep, which is more accurate but not interruptible.
+#: Real time: the last part of a wait [s] is a sleep, which is more accurate but cannot be interrupted.
 EXACT_WAIT = 0.02
 
-#: Interval at which a device is kept alive between samples [s].
+#: Interval at which the output of a device is repeated while no samples are computed [s].
 PAUSE = 0.01
 
 #: Number of nodes of an axis that read joint_states.
 READERS = 3
 
-#: Delay [periods] above which the schedule is shifted; the loop catches up a smaller delay.
+#: Delay [periods] above which the schedule is shifted; the loop catches up on smaller delays.
 FAR_BEHIND = 10.0
 
-#: Time without a voltage after which no voltage is pending: the longer of a time [s] and a number of periods. The third
-#: value is the maximum wait, as a multiple of that time.
+#: Time without a voltage after which no voltage is pending: the longer of ALIGN_QUIET [s] and ALIGN_PERIODS periods;
+#: the maximum wait is ALIGN_PATIENCE times this time.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Nodes whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
 
-#: After a node has joined the loop, voltages are counted again as soon as SETTLED samples in a row were answered, but
-#: at the latest after LONGEST_SETTLING samples.
+#: After a node has joined the loop, voltages are counted again when SETTLED consecutive samples have been answered, at
+#: the latest after LONGEST_SETTLING samples.
 SETTLED, LONGEST_SETTLING = 10, 100
 
 #: Number of samples whose publication time is stored.
@@ -69,7 +69,7 @@ ANSWERS = 256
 
 
 class LockstepPlant(Lockstep):
-    """Publishes sample k and continues with k+1 when all voltages of k have arrived."""
+    """Publishes sample k, and continues with k + 1 when all voltages of k have arrived."""
 
     def clear(self) -> None:
         """Reset the run: the next sample is number 0."""
@@ -102,24 +102,24 @@ class LockstepPlant(Lockstep):
         self.advance()
 
     def go_on(self) -> None:
-        """Do nothing: every voltage belongs to the present sample, and the next sample informs the other nodes."""
+        """Do nothing: every voltage belongs to the present sample, and the next sample shows that the axis runs."""
 
     is_quiet = True
 
     def advance(self) -> None:
-        """Publish the present sample when partners and recorder are ready."""
+        """Publish the present sample if partners and recorder are ready."""
         if self.may_begin() and self.begin_sample():
             self.node.publish_sample()
 
     def may_begin(self) -> bool:
-        """Return whether the present sample has not begun, and partners and recorder are ready for it."""
+        """Return whether the present sample can begin: it has not begun yet, and partners and recorder are ready."""
         node = self.node
         if self.is_measured or self._ended or node.failure or not node.running or not node.active:
             return False
         return self.matched() and not self._recorder_behind()
 
     def begin_sample(self) -> bool:
-        """Await the voltages of the present sample; return False after the last sample, which ends the run."""
+        """Let the present sample wait for its voltages; after the last sample, end the run and return False."""
         node = self.node
         if node.parameters.samples and node.sample >= node.parameters.samples:
             self._ended = True
@@ -155,7 +155,7 @@ class LockstepPlant(Lockstep):
             return
         again = input_.topic in self._came
         if not self.is_measured or again:
-            # the voltage is ignored before sample 0, and if a compensator sends it at its exit while the time is paused
+            # a voltage before sample 0, or of a compensator that exits while the time is paused, is ignored
             if (self.is_measured and again) or (node.sample and node.running and not self._recorder_behind()):
                 text = f"a voltage on {input_.topic} does not belong to sample {node.sample}"
                 node.fail(f"{text}: {input_.partner} was restarted, or there are two; {TOGETHER}")
@@ -178,7 +178,8 @@ class LockstepPlant(Lockstep):
             return "every reader of joint_states"
         if self.is_measured:
             missing = [input_ for input_ in self.node.inputs if input_.topic not in self._came]
-            # the voltage depends on the other inputs, so the partner of another missing input is closer to the cause
+            # the voltage of the extender depends on the other inputs, so the partner of a later missing input is closer
+            # to the cause
             return f"{missing[-1].partner} (topic {missing[-1].topic})"
         return "recorder" if self._recorder_behind() else ""
 
@@ -194,7 +195,7 @@ class LockstepPlant(Lockstep):
 
 
 def remedy_for_late_voltages(device: bool, alone: bool) -> str:
-    """Return a remedy for late voltages of a device or simulation; ``alone``: the plant's process has no other node."""
+    """Return a remedy for late voltages, with a ``device`` or simulated; ``alone``: no other node in the process."""
     remedies = ["lower sample_rate" if device else "lower sample_rate or real_time_factor"]
     remedies += ["run the nodes composed"] if alone else []
     remedies += ["run the axis fused" if device else "run in lockstep"]
@@ -206,10 +207,10 @@ class RealTimePlant(RealTime):
 
     A voltage carries no number, so it is assigned to a sample by count. A voltage that answers an earlier sample is
     late; the last punctual voltage is held instead, unless ``late_limit`` allows any number of late voltages or the
-    loop is open. At the first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered
-    samples is unknown: the next sample then waits until no voltage is pending, and the count starts with this sample. A
-    node that joins a running axis does not delay the samples: voltages are accepted as they arrive, and are counted
-    again as soon as some samples in a row have been answered.
+    loop is open. When the first voltages arrive, after a reset, and after ``~/start`` of a stopped axis, the number of
+    unanswered samples is unknown. The next sample then waits until no voltage is pending, and the count starts with
+    this sample. A node that joins a running axis does not delay the samples: voltages are accepted as they arrive, and
+    counted again when some consecutive samples have been answered.
     """
 
     def __init__(self, node):
@@ -222,7 +223,7 @@ class RealTimePlant(RealTime):
         self._published = array("d", bytes(8 * PUBLISHED))
         self._answers = array("d", bytes(8 * ANSWERS))
         self._answered = 0
-        # the timing thread writes _asked, the executor _given
+        # the timing thread writes _asked, the executor writes _given
         self._asked = 0
         self._given: dict[str, int] = {}
         self._heard: dict[str, float] = {}  #: Time of the last voltage on each topic [s], see :class:`.AwakeTime`.
@@ -259,8 +260,7 @@ class RealTimePlant(RealTime):
                 self._lost[reporter] = name
             else:
                 self._lost.pop(reporter, None)
-            # the message may be repeated for a plant that was restarted after its loss and may have missed the first
-            # message
+            # a plant that was restarted after its loss may have missed the first message, so the message is repeated
             if state == LOST or (partner == PLANT and not node.part.tripped):
                 with node.lock:
                     node.lose(name)
@@ -271,7 +271,7 @@ class RealTimePlant(RealTime):
         self._lost = {}
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when all are present."""
+        """Return the lost nodes without which the axis cannot continue; empty if all are present."""
         now = self._awake_time.at(time.monotonic())
         stopped = self.node.inputs if self.node.part.silent else ()
         silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}
@@ -283,7 +283,7 @@ class RealTimePlant(RealTime):
         return max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
 
     def _is_silent(self, input_, now: float) -> bool:
-        """Return whether an active node has sent no voltages for its time-out; ``now`` [s]: :class:`.AwakeTime`."""
+        """Return whether an active node is silent for more than its time-out; ``now`` [s]: :class:`.AwakeTime`."""
         limit = self._loss_time
         if input_.received - input_.first < STARTING:
             limit = max(limit, STARTING)
@@ -291,7 +291,7 @@ class RealTimePlant(RealTime):
         return at_work and now - self._heard.get(input_.topic, now) > limit
 
     def replaced(self, topic: str, name: str) -> None:
-        """Handle voltages from a new process of a node; the previous process is lost unless it announced its stop."""
+        """Handle voltages from a new process of a node; the old process is lost unless it announced its stop."""
         node = self.node
         for input_ in node.inputs:
             partner = input_.partner
@@ -303,14 +303,14 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _await_voltages(self) -> None:
-        """Restart the measurement of silence, because no voltages could be sent while a partner was inactive."""
+        """Restart the measurement of silence, because no voltage could be sent while a partner was inactive."""
         now = time.monotonic()
         for input_ in self.node.inputs:
             input_.first = now
             self._heard[input_.topic] = self._awake_time.at(now)
 
     def _look_for_losses(self) -> None:
-        """Stop the axis when voltages have stopped without an announcement; called with the lock held."""
+        """Stop the axis if voltages have stopped without an announcement; called with the lock held."""
         node, part = self.node, self.node.part
         now = self._awake_time.look(time.monotonic())
         if part.silent and not self._gone and not node.leaving and not self._lost:
@@ -318,7 +318,7 @@ class RealTimePlant(RealTime):
             if silent and not part.lost:
                 node.lose(silent[0])
         if part.lost:
-            part.lose(part.lost)  # late voltages since the loss are not a separate reason
+            part.lose(part.lost)  # the loss remains the reason, even after many late voltages
 
     def align(self) -> None:
         """Restart the count of voltages before the next sample, which waits until no voltage is pending."""
@@ -330,11 +330,11 @@ class RealTimePlant(RealTime):
         self._presence.publish(String(data=f"{STARTED} {PLANT}"))
 
     def settle(self) -> None:
-        """Restart the count of voltages while samples continue."""
+        """Restart the count of voltages while the samples continue."""
         self._settling, self._unsettled = SETTLED, LONGEST_SETTLING
 
     def _settle(self) -> bool:
-        """Return whether voltages are not counted in this sample; called with the lock held."""
+        """Return whether this sample is not counted, after a node has joined; called with the lock held."""
         if not self._settling:
             return False
         answered = all(math.isfinite(input_.value) for input_ in self.node.inputs)
@@ -377,7 +377,7 @@ class RealTimePlant(RealTime):
         self.is_measured = False
         self.node.stamps.go_on(self.node.sample)
         if self._thread is not None and not self._thread.is_alive():
-            self._start()  # the thread has ended with the last run
+            self._start()  # it has ended with the last run
 
     def hold(self, held: bool) -> None:
         """Pause or resume the time of the axis; inform the other nodes, so that they do not count the plant as lost."""
@@ -416,7 +416,7 @@ class RealTimePlant(RealTime):
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no voltage has arrived for ``QUIET``, so that none is pending."""
+        """Whether no voltage has arrived for ``QUIET`` seconds, so that no voltage is pending."""
         return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
 
     @property
@@ -425,7 +425,7 @@ class RealTimePlant(RealTime):
         return self.node.part.late
 
     def explain_trip(self) -> str:
-        """Return why the plant has stopped the axis, the rate that this machine achieves, and a remedy."""
+        """Return why the plant has stopped the axis, the rate that this graph achieves, and a remedy."""
         parameters = self.node.parameters
         rate = parameters.sample_rate * parameters.real_time_factor
         text = f"more than {parameters.allowed_late} voltages came late within a second, at {rate:.6g} Hz"
@@ -441,7 +441,7 @@ class RealTimePlant(RealTime):
     def _keep_time(self) -> None:
         try:
             self._keep_time_until_left()
-        except Exception as error:  # the thread would end silently
+        except Exception as error:  # otherwise the thread would end without a message
             self.node.fail(f"the timing thread failed: {type(error).__name__}: {error}")
 
     def _keep_time_until_left(self) -> None:
@@ -464,10 +464,10 @@ class RealTimePlant(RealTime):
                 return
             behind = time.monotonic() - deadline > FAR_BEHIND * period
             if behind:
-                deadline = time.monotonic()  # the schedule is shifted; samples are never dropped
+                deadline = time.monotonic()  # shift the schedule; samples are never dropped
             with node.lock:
                 if self._runs != published:
-                    continue  # a reset has intervened, so there is no sample to end
+                    continue  # after a reset there is no sample to end
                 self.end_sample(behind)
 
     def begin_sample(self) -> None:
@@ -490,9 +490,9 @@ class RealTimePlant(RealTime):
         self.go_to_next(before, behind)
 
     def close_answers(self) -> None:
-        """Accept no more voltages for the present sample, and drop late ones.
+        """Accept no more voltages for the present sample, and drop those that are late.
 
-        Voltages that are missing because a node has left the loop do not count as late.
+        Voltages that are missing because this node exits do not count as late.
         """
         self.is_measured = False
         if not self._settle():
@@ -501,7 +501,7 @@ class RealTimePlant(RealTime):
             self.node.part.forgive()
 
     def go_to_next(self, before: bool, behind: bool) -> None:
-        """Handle a new stop of the axis (``before``: it was stopped already); shift a schedule that is ``behind``."""
+        """Handle a stop of the axis, unless it was stopped ``before``; shift the schedule if it is ``behind``."""
         node = self.node
         late = node.part.tripped and not before and not node.part.failure
         if late and self._is_open:
@@ -514,7 +514,7 @@ class RealTimePlant(RealTime):
             node.finish()
 
     def _pause(self, duration: float) -> None:
-        """Wait a moment between samples and keep the device alive."""
+        """Wait for a moment while no samples are computed, and repeat the output of a device."""
         with self.node.lock:
             self.node.part.refresh()
         self._leaving.wait(duration)
@@ -525,7 +525,7 @@ class RealTimePlant(RealTime):
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:
-        """Drop voltages that answer an earlier sample, because an unknown delay may make the loop unstable."""
+        """Drop voltages that answer earlier samples, because an unknown delay may make the loop unstable."""
         node = self.node
         behind = [input_ for input_ in node.inputs if self._is_behind(input_)]
         if not behind or self._is_open:
@@ -539,7 +539,7 @@ class RealTimePlant(RealTime):
             input_.value = math.nan
 
     def _is_behind(self, input_) -> bool:
-        """Return whether only voltages of earlier samples have arrived; voltages are assigned to samples by count."""
+        """Return whether, by count, only voltages of earlier samples have arrived."""
         return bool(input_.received) and self._given.get(input_.topic, 0) < self._asked
 
     @property
@@ -548,7 +548,7 @@ class RealTimePlant(RealTime):
         return self._unaligned
 
     def align_now(self) -> bool:
-        """If the count must restart, wait until no voltage is pending; return whether it was restarted."""
+        """If the count must restart, wait until no voltage is pending and restart it; return whether it did."""
         if self._unaligned:
             self._align()
             return True
@@ -577,7 +577,7 @@ class RealTimePlant(RealTime):
         self._excuse(False)
 
     def _await_partners(self) -> None:
-        """Start a run of given length when the loop is complete; a run without end starts immediately."""
+        """Let a run of given length wait until the loop is complete; a run without end does not wait."""
         node = self.node
         waits = node.parameters.wait_for_recorder
         patience = time.monotonic() + STARTUP_TIMEOUT
@@ -596,7 +596,7 @@ class RealTimePlant(RealTime):
         return complete and not (recorded and self._acknowledged < 0)
 
     def _wait_until(self, deadline: float) -> bool:
-        """Wait; return False when the node exits."""
+        """Wait until ``deadline``; return False if the node exits."""
         wait = deadline - time.monotonic()
         if wait > EXACT_WAIT:
             self._leaving.wait(wait - EXACT_WAIT)

@@ -53,12 +53,12 @@ from hysteresis_ros.nodes.triggers import TOPIC as TRIGGERS
 from hysteresis_ros.recordings.dataset import output_tolerance
 from hysteresis_ros.references.scan_clock import LEVELS
 
-#: Deviation from the wall clock [ns] above which the stamps are set to the wall clock again.
+#: Deviation of the stamps from the wall clock [ns] above which they are set to it again.
 OFF_CLOCK = 100_000_000
 
 
 def _wall_clock() -> int | None:
-    """Return the time since 1970 [ns]; None when the clock cannot be read."""
+    """Return the time since 1970 [ns]; None if the clock cannot be read."""
     try:
         return time.time_ns()
     except OSError:
@@ -74,7 +74,7 @@ class Stamps:
         self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
         self._factor = parameters.real_time_factor
         self._start = 0
-        #: Time at which the stamps began [ns]; 0: they have not begun.
+        #: Wall-clock time at which the stamps began [ns]; 0: not yet.
         self._origin = 0
         #: Stamp of the last published sample [ns].
         self.last = 0
@@ -99,8 +99,8 @@ class Stamps:
         """Restart the stamps with this sample: at the present time, or at zero if the stamps are the time source.
 
         Stamps never go back, even if the clock was set back or cannot be read, because no node accepts an earlier
-        stamp. With a real-time factor other than 1, the time in the stamps passes at this factor, also during a pause:
-        at the rate of the wall clock, a pause would appear as a gap of many more samples than it lasted.
+        stamp. With a real-time factor other than 1, the time in the stamps passes at this factor, also during a pause;
+        at the rate of the wall clock, a pause would appear as a gap of too many samples.
         """
         wall = _wall_clock() or 0
         origin = self._origin or wall
@@ -110,7 +110,7 @@ class Stamps:
 
     @property
     def are_off_clock(self) -> bool:
-        """Whether the stamps deviate from the wall clock because the clock was set; False for an unreadable clock."""
+        """Whether the stamps deviate from the wall clock because it was set; False if the clock cannot be read."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
 
@@ -126,7 +126,7 @@ class VoltageInput:
         """Reset to the initial state."""
         self.value = math.nan
         self.received = 0.0
-        #: Number of voltages so far, and the time of the first voltage since the loop was last opened [s].
+        #: Number of voltages so far, and time of the first voltage since the loop was last open [s].
         self.count, self.first = 0, 0.0
         self.full_name = self.topic
 
@@ -135,7 +135,7 @@ def explain_loss(lost: str, own: str) -> str:
     """Return why the loss of a node has stopped the axis of the plant ``own``, and how to resume."""
     if lost == own:
         cause = "it was inactive or suspended, or this machine was too busy"
-        return f"the other nodes received no messages of this node for a while ({cause}); call ~/start to resume"
+        return f"the other nodes received no messages from this node for a while ({cause}); call ~/start to resume"
     return f"{lost} is lost: it sends no messages; start it again, then call ~/start"
 
 
@@ -184,20 +184,20 @@ def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, st
     return OK, ""
 
 
-#: Number of samples of a fused loop after which it is known whether a stopped axis resumes.
+#: Number of samples of a fused loop after ~/start until it is known whether the axis resumes.
 OUTCOME = 3
 
-#: Time for the voltage of a device to reach its safe value before the node releases the device [s].
+#: Time in which the voltage of a device can reach its safe value before the node releases the device [s].
 RETURN = 1.0
 
 _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 
 
 class PlantSimulatorNode(AxisNode):
-    """Simulates an actuator or an inchworm motor in place of real hardware.
+    """Simulates an actuator or an inchworm motor, or runs the device of a driver.
 
-    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived (for an inchworm all three).
-    ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
+    ``lockstep``: publishes sample k, and continues with k + 1 only when voltage k has arrived (all three of an
+    inchworm). ``realtime``: publishes at its rate, from a thread with absolute deadlines, and holds the last voltages.
     """
 
     parameters: PlantNodeParameters
@@ -213,7 +213,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def patience(self) -> float:
-        """Time without a voltage after which the watchdog acts [s]."""
+        """Time without a voltage after which the output goes to the safe voltage [s]."""
         return self.parameters.voltage_timeout
 
     lockstep_runner = LockstepPlant
@@ -226,7 +226,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def is_seen(self) -> bool:
-        """Whether a camera measures the plant; if so, the plant publishes images in place of joint_states."""
+        """Whether a camera measures the plant, which then publishes images instead of joint_states."""
         return self.parameters.type == "camera"
 
     @property
@@ -249,7 +249,7 @@ class PlantSimulatorNode(AxisNode):
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
         if parameters.driver:
             self._tell_device()
-        # compile all paths through a simulated part now, not at the first sample; a fused loop has its own code
+        # compile all branches of a simulated plant now, not at the first sample; a fused loop has its own code
         for voltage in () if parameters.driver or parameters.time_mode == "fused" else (0.0, math.nan):
             self.sense()
             for input_ in self.inputs:
@@ -267,7 +267,7 @@ class PlantSimulatorNode(AxisNode):
         return plant_of(parameters, travel)
 
     def _tell_device(self) -> None:
-        # two calls, because rclpy binds each call site to one severity
+        # two calls, because rclpy allows only one severity per line of code
         if self.part.capabilities.watchdog is None:
             self.get_logger().warning(self.part.description)
         else:
@@ -277,7 +277,7 @@ class PlantSimulatorNode(AxisNode):
         """Release the device."""
         if self.is_fused:
             self.fused.end()
-        if self.part is not None and not self.is_fused:  # if still fused, a call of the device has not returned
+        if self.part is not None and not self.is_fused:  # if it is still fused, a call of the device has not returned
             wrong = self.part.close()
             if wrong:
                 self.get_logger().error(wrong)
@@ -371,7 +371,7 @@ class PlantSimulatorNode(AxisNode):
             self._message.effort[0] = parameters.preload.force
 
     def change_details(self) -> dict:
-        """Return a field that marks a sample as already measured, so that a change affects only its later steps."""
+        """Return the field of a change that takes effect after the present sample has been measured."""
         return {"after": MEASURED} if self.runner.is_measured else {}
 
     def _on_emergency(self, message) -> None:
@@ -436,13 +436,13 @@ class PlantSimulatorNode(AxisNode):
             self.log_change("start")
 
     def stopped(self) -> str:
-        """Return a message about the effect of ``~/stop``: emergency stop if fused, otherwise a pause of time."""
+        """Return a message about the effect of ``~/stop``: an emergency stop if fused, otherwise a pause."""
         if self.is_fused:
             return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
         return f"stopped: no samples are computed, and the voltage stays at {self.part.held():.6g} V"
 
     def hindrance(self) -> str:
-        """Return why the axis does not run although it was not stopped; empty when it runs."""
+        """Return why the axis does not run although it was not stopped by the user; empty if it runs."""
         text = super().hindrance()
         if text or not self.part.tripped or self.part.finding_home:
             return text
@@ -459,7 +459,7 @@ class PlantSimulatorNode(AxisNode):
         return self._answer_service(response, "homing")
 
     def on_running(self, running: bool) -> None:
-        """Pause the time of the axis (``~/stop``), or resume it (``~/start``), even after a trip of the plant."""
+        """Pause the time of the axis (``~/stop``), or resume it (``~/start``), also after a trip."""
         self.runner.hold(not running)
 
     # -- samples -------------------------------------------------------------------------------------------------
@@ -484,7 +484,7 @@ class PlantSimulatorNode(AxisNode):
         self._publish_measured(self.stamps.of(self.sample), before if self.sample else self.row[signals.MEASURED])
 
     def show(self, sample: int, before: float, quiet: bool):
-        """Publish the row of a sample of a fused loop; ``before`` [m] is the previous displacement."""
+        """Publish the row of a sample of a fused loop; ``before`` [m] is the previous measurement."""
         self._publish_measured(self.stamps.of(sample), before, quiet)
         self._publish_row()
         return self._message.header.stamp
@@ -529,7 +529,7 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
-        # counted only while the output returns to the path; the cause of a motion to the safe voltage is reported
+        # counted only while the output returns to the received voltage; a motion to the safe voltage is reported
         # elsewhere
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
@@ -578,7 +578,7 @@ class PlantSimulatorNode(AxisNode):
         return self.runner.late_samples
 
     def _limited_counts(self) -> dict[str, int]:
-        """Return the number of samples with a limited output, by cause; the amplifiers of a motor are not included."""
+        """Return the number of samples with a limited output for each cause; without the amplifiers of a motor."""
         counts = {"safe_slew_rate": self.held_back}
         return counts if self.axis_kind.motor else counts | {AMPLIFIER: self.part.limited_samples}
 
@@ -615,14 +615,14 @@ class PlantSimulatorNode(AxisNode):
         if not self.sample or self._told:
             return
         self._told = True
-        # measured only up to the last sample, because making a device safe and closing it take time
+        # measured only up to the last sample, because making a device safe and closing it takes time
         wall = max(self._latest - self._first, 1e-9)
         rate = self.sample / wall
         factor = rate / self.parameters.sample_rate
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
         text += f", {self.late} late samples ({100.0 * self.late / self.sample:.3g} %)"
         if self.late and self.parameters.time_mode == "fused":
-            text += "; hysteresis report gives the errors with and without the intervals that late samples disturbed"
+            text += "; hysteresis report gives the errors with and without the intervals that late samples disturb"
         self.get_logger().info(text)
         limited = limited_in_all(self._limited_counts(), self.sample, self.parameters.sample_rate)
         if limited:
@@ -639,7 +639,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def listens_at_exit(self) -> bool:
-        """Whether the node processes pending messages before it exits: in real time, voltages toward the safe value."""
+        """Whether the node processes pending messages before it exits: in real time, the last voltages."""
         return not self.runner.exact
 
     def drained(self) -> bool:
@@ -660,7 +660,7 @@ class PlantSimulatorNode(AxisNode):
         super().destroy_node()
 
     def make_safe(self) -> None:
-        """Move a device to its safe state, unless a loop still runs the device and holds the safe voltage."""
+        """Move a device to its safe state, unless a loop still runs it, which then holds the safe voltage."""
         if self.is_fused and self.fused.loop.running:
             return
         patience = time.monotonic() + RETURN
@@ -673,7 +673,7 @@ class PlantSimulatorNode(AxisNode):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([PlantSimulatorNode], arguments)
 
 
