@@ -24,8 +24,8 @@ def loop_qos(keeps: bool, depth: int) -> QoSProfile:
     """Topics between the nodes of an axis.
 
     In lockstep (``keeps``) a publisher keeps the last ``depth`` messages for subscriptions that match later (transient
-    local): with volatile topics sample 0 could be lost, and the loop would wait forever. In real time old samples are
-    useless.
+    local), because on volatile topics sample 0 could be lost, and the loop would wait forever. In real time old samples
+    are useless.
     """
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)
 
@@ -36,7 +36,7 @@ def setpoint_qos() -> QoSProfile:
 
 
 def chosen_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
-    """An external input: ``qos`` itself, or best effort if its publisher may be best effort."""
+    """An external input: ``qos``, or best effort if that is the chosen ``reliability``."""
     if reliability == "best_effort":
         qos = QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=qos.durability)
     return qos
@@ -53,5 +53,5 @@ def latched_qos(depth: int = 1) -> QoSProfile:
 
 
 def diagnostics_qos(keeps: bool = False) -> QoSProfile:
-    """Subscription to ``/diagnostics`` as ROS tools expect it; with ``keeps``, also to the last report of each node."""
+    """Subscription to ``/diagnostics`` as in ROS tools; with ``keeps`` it also gets the last report of each node."""
     return _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

@@ -67,7 +67,7 @@ class QuietHold:
         self._take_model(entry["action"] == signals.CONFIGURED)
 
     def _take_model(self, anew: bool) -> None:
-        """Build the creep model at rest, as the compensator starts; retune an existing one unless ``anew`` is set."""
+        """Build the creep model at rest, as the compensator starts; unless ``anew``, retune an existing model."""
         try:
             parameters = part(CompensatorNodeParameters.from_mapping(self._given), CompensatorParameters)
         except (ValueError, KeyError, TypeError, HysteresisError):
@@ -100,7 +100,7 @@ class QuietHold:
     # -- requests ------------------------------------------------------------------------------------------------
 
     def _begin(self, duration: float, tolerance: float = 0.0) -> str:
-        """Begin a quiet hold of a duration [s], or end it (0); return a description of the hold."""
+        """Begin a quiet hold of ``duration`` [s], or end it (0); return a description of the hold."""
         node, forecast = self._node, self.forecast
         forecast.require(duration, tolerance)
         hindrance = self._hindrance()
@@ -114,7 +114,7 @@ class QuietHold:
         if not duration:
             return "the quiet hold ends"
         before = 2.0 * max(node.parameters.quiet.average, 2.0 / node.parameters.sample_rate)
-        return f"quiet for {duration:g} s, from {before:g} s after the request; {forecast.describe(duration)}"
+        return f"quiet for {duration:g} s, beginning {before:g} s after the request; {forecast.describe(duration)}"
 
     def _hindrance(self) -> str:
         """Return why the axis is not in closed loop; empty if it is."""
@@ -147,7 +147,7 @@ class QuietHold:
         if not node.active:
             return
         if node.is_fused:
-            # if the input has an action of its own, the source has passed the pulse to the loop
+            # if the input has an action of its own, the source passes the pulse to the loop
             if node.fused.source.parameters.triggers.input.action == "none":
                 node.fused.pulse()
             return

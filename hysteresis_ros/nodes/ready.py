@@ -9,8 +9,8 @@
 
 """Prediction and report of the end of moves: topics ``ready``, ``ready_in`` and ``~/moves``, service ``~/move``.
 
-The reference generator makes the predictions, with the parameters of controller and compensator that it reads from
-``changes``. Predictions are computed in a thread; the loop does not wait for them.
+The reference generator makes the predictions, with the parameters of controller and compensator from ``changes``.
+Predictions are computed in a thread; the loop does not wait for them.
 """
 
 from __future__ import annotations
@@ -41,33 +41,33 @@ if TYPE_CHECKING:
 
 #: Service that takes a setpoint with a tolerance, and the names of the numbers in its request.
 MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
-#: Time that the reference must rest before the noise is measured [s], and number of samples per evaluation.
+#: Time for which the reference must rest before the noise is measured [s], and number of samples per evaluation.
 REST, BLOCK = 0.05, NoiseMeter.BLOCK
 #: Maximum number of measurements of a move from which the predictor learns.
 MOST = 20_000
 #: Largest number of waiting jobs. If setpoints arrive faster than predictions are computed, some moves are not
 #: predicted.
 WAITING = 8
-#: Tolerance of a move that states none on an axis without ``ready.tolerance``, as a multiple of the least one that the
-#: noise permits: twice that is left in 1e-7 of the time by normal noise.
+#: Tolerance of a move without a tolerance on an axis without ``ready.tolerance``, as a multiple of the smallest
+#: tolerance that the noise permits. Normal noise exceeds twice this smallest tolerance in 1e-7 of the time.
 FREE = 2.0
-#: Parameters of the nodes whose loop is predicted.
+#: Parameter classes of the nodes whose loop is predicted.
 KINDS = {signals.CONTROLLER: ControllerNodeParameters, signals.COMPENSATOR: CompensatorNodeParameters}
 
 
-#: A job of the prediction thread; it may return a function that the thread of the node then calls.
+#: A job of the prediction thread; the thread of the node calls the function that the job may return.
 Job = Callable[[], Callable[[], object] | None]
 
 
 class MoveToReady:
-    """A move from sample ``first`` on; without a ``path`` (points), from the next sample with its setpoint on."""
+    """A move that begins with sample ``first``, or, without a ``path``, when its setpoint next appears in a sample."""
 
     def __init__(self, number: int, first: int, setpoint: float, readiness: Readiness, path: dict | None):
         self.number, self.first, self.setpoint, self.path = number, first, setpoint, path
         self.readiness = readiness
         self.predicted = math.nan
         self.measured: list[float] = []
-        #: Number of samples without a measurement until the axis was ready.
+        #: Number of samples without a measurement before the axis was ready.
         self.missing = 0
         self.begun = self.done = False
 
@@ -86,7 +86,7 @@ class MoveToReady:
 
 
 class Thread:
-    """Runs jobs one after the other; their results wait for :meth:`take`."""
+    """Runs jobs one after the other, and keeps their results for :meth:`take`."""
 
     def __init__(self, failed: Callable[[str], object]):
         self._failed = failed
@@ -111,7 +111,7 @@ class Thread:
                 return
             try:
                 result = job()
-            except Exception as error:  # a prediction that fails must not end the following ones
+            except Exception as error:  # a failed prediction must not end the thread
                 self.report(error)
                 continue
             if result is not None:
@@ -134,7 +134,7 @@ class Thread:
 
 
 def _offset(controller: dict) -> float:
-    """Return the offset of the preload [m] in the parameters of a controller."""
+    """Return the offset of the preload [m] from the parameters of a controller."""
     start = "model.preload."
     given = {name.removeprefix(start): value for name, value in controller.items() if name.startswith(start)}
     return PreloadParameters.from_mapping(given).offset
@@ -153,7 +153,7 @@ class ReadyTopics:
         node._topic_handles.append((node.destroy_service, service))
         self._thread = Thread(lambda text: node.warn("prediction", text))
         self._given: dict[str, dict] = {}
-        #: Offset of the preload [m] that the controller subtracts from the measurements; references do not contain it.
+        #: Offset of the preload [m], which measurements contain and references do not.
         self.offset = 0.0
         self._predictor: Predictor | None = None
         self._stale = True
@@ -205,7 +205,7 @@ class ReadyTopics:
                 if node == signals.CONTROLLER:
                     self.offset = _offset(self._given[node])
             elif node != signals.SOURCE or not any(name.startswith("shaping.") for name in parameters):
-                return  # these parameters do not affect the predicted loop
+                return  # these do not affect the predicted loop
         except (ValueError, KeyError, TypeError):
             return
         self._stale = True
@@ -218,7 +218,7 @@ class ReadyTopics:
         """Build the predictor from the present parameters, unless it exists."""
         if not self._stale or len(self._given) < len(KINDS):
             return
-        from hysteresis_ros.loop.ready import Predictor, model_of  # a node without predictions needs no plant models
+        from hysteresis_ros.loop.ready import Predictor, model_of  # not needed without predictions
 
         self._stale = False
         node = self._node
@@ -242,7 +242,7 @@ class ReadyTopics:
             self._foreseen = move
             given = move.setpoint, after, move.readiness.tolerance, dwell, noise, move.path
             move.predicted = self._predictor.predict(*given)
-        except Exception as error:  # the client must be told that the move is not predicted
+        except Exception as error:  # report to the client that the move is not predicted
             return partial(self._on_predicted, move, self._thread.report(error))
         return partial(self._on_predicted, move)
 
@@ -255,7 +255,7 @@ class ReadyTopics:
 
     def _learn(self, move: MoveToReady, noise: Noise) -> None:
         if self._predictor is not None and move is self._foreseen and math.isfinite(move.predicted):
-            # in skipped samples the axis has moved differently from the model
+            # in a sample without a measurement, the axis may have moved differently from the model
             if not move.missing:
                 self._predictor.learn(move.measured, noise)
             self._predictor.follow(len(move.measured))
@@ -277,7 +277,7 @@ class ReadyTopics:
         return node.fused.loop.sample if node.is_fused else node.sample
 
     def begin(self, before: float, setpoint: float, path: dict | None = None, first: int | None = None) -> None:
-        """Monitor an accepted move from the setpoint ``before`` to ``setpoint`` [m], from the sample ``first`` on.
+        """Monitor an accepted move from the setpoint ``before`` to ``setpoint`` [m], beginning with sample ``first``.
 
         The tolerance comes from the request ``~/move``, or from the parameters. ``path`` are the points of a
         trajectory.
@@ -299,7 +299,7 @@ class ReadyTopics:
         self._say(move=self._number, setpoint=setpoint, tolerance=tolerance, dwell=dwell)
         if not self._thread.run(partial(self._predict, self.move, before, after, noise, dwell)):
             self._moved = True
-            why = f"{WAITING} moves wait for their predictions; send setpoints less often"
+            why = f"{WAITING} moves are waiting for their predictions; send setpoints less often"
             self._say(move=self._number, predicted=math.nan, why=why)
 
     def look(self, row, number: int) -> None:
@@ -312,7 +312,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
-        """Take samples from number ``first`` on, shape (row length, N); during a move, process each one separately."""
+        """Take samples, beginning with number ``first``, shape (row length, N); during a move, process them singly."""
         self._thread.take()
         for number, row in enumerate(table.T.tolist() if self.move is not None else (), first):
             if self.move is not None:
@@ -323,7 +323,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def _meter_noise(self) -> None:
-        """Let the meter take the samples since its last block, if they fill a block."""
+        """Pass the collected samples to the noise meter if they fill a block."""
         if len(self._block) >= BLOCK:
             self._meter.take(*zip(*self._block, strict=True))
             self._block.clear()
@@ -358,7 +358,7 @@ class ReadyTopics:
         self._tell(False, math.nan)
 
     def fall_silent(self) -> None:
-        """Report not ready while no samples arrive; the move ends, unless a fused axis delivers the samples later."""
+        """Report not ready while no samples arrive; end the move, unless the axis is fused and delivers them later."""
         if not self._node.is_fused:
             self.stop("no samples arrive")
         elif self._told is not None and self._told[0]:
@@ -369,12 +369,12 @@ class ReadyTopics:
     def _too_small(self, noise: Noise) -> str:
         return (
             f"the displacement at rest has {readable(noise.displacement, 'm')} RMS of noise "
-            f"(sensor {readable(noise.sensor, 'm')}), so it is within "
-            f"{readable(noise.least_tolerance, 'm')} during 99 % of the time; give at least that"
+            f"(sensor {readable(noise.sensor, 'm')}) and is within "
+            f"{readable(noise.least_tolerance, 'm')} of its mean during 99 % of the time; give at least that"
         )
 
     def _tolerance(self, given: dict[str, float]) -> float:
-        """Return the tolerance of a request [m]: its own, that of the axis, or a multiple of the least one."""
+        """Return the tolerance of a request [m]: its own, that of the axis, or a multiple of the smallest one."""
         own, noise = self._node.parameters.ready.tolerance, self.noise
         allowed = FREE * noise.least_tolerance if noise is not None else 0.0
         return given.get(TOLERANCE, own or allowed)
@@ -392,9 +392,9 @@ class ReadyTopics:
         if stated and not 0.0 < tolerance < math.inf:
             return f"tolerance {readable(tolerance, 'm')} refused: must be > 0"
         if not 0.0 <= dwell < math.inf:
-            return f"dwell {dwell:g} s refused: must be a number of seconds >= 0"
+            return f"dwell {dwell:g} s refused: must be ≥ 0 s"
         if waveform != "hold":
-            return f"waveform.type = '{waveform}' moves the axis, so no move becomes ready; set waveform.type hold"
+            return f"waveform.type = '{waveform}' moves the axis, so no move becomes ready; set waveform.type: hold"
         if noise is None:
             samples = NoiseMeter.SETTLED + NoiseMeter.FEWEST
             return f"the noise is not measured yet: let the axis rest for {REST:g} s and {samples} samples"

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real-time mode: the plant or a driver sets the sample times; all other nodes answer its measurements on arrival.
+"""Real-time mode: the plant or a driver sets the sample times; all other nodes answer measurements on arrival.
 
 Within a sample the order is the same as in lockstep: a measurement is answered when the other inputs of its sample have
 arrived. Float64 messages carry no number, so they are assigned to measurements by count. An input that has not arrived
@@ -15,13 +15,13 @@ by the next measurement is late: the sample is answered without this input, and 
 next sample. If an input is late in several samples in a row, the node stops waiting for it until a message arrives
 again.
 
-A partner is *lost* when it has been silent for longer than the time-out of the node that needs it, and for more than a
-few samples, unless it has announced that it stops. Time in which the node's own process was halted does not count
+A partner is *lost* if it has been silent for longer than the time-out of the node that needs it and for more than a few
+samples, and has not announced that it stops. Time in which the node's own process was halted does not count as silence
 (:class:`AwakeTime`). When a partner is lost, the node keeps its own part safe and informs the plant, which stops the
-axis. The stop is latched: the axis resumes when the partner is back and a person calls ``~/start``. This holds for the
+axis. The stop is latched: the axis resumes when the partner is back and a person calls ``~/start``. This applies to the
 loss of any node and at any sample rate. A partner that has just started may be silent for longer, because on a busy
-machine its first messages have gaps. A partner that is replaced by another process without having announced that it
-stops always counts as lost.
+machine its first messages have gaps. A partner that another process replaces always counts as lost if it has not
+announced that it stops.
 """
 
 from __future__ import annotations
@@ -40,49 +40,51 @@ from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 #: Interval between checks for stopped inputs [s].
 WATCHDOG_PERIOD = 0.01
 
-#: Longest interval between two checks that counts in full as silence of a partner [s].
+#: Longest interval between two checks that counts fully as silence of a partner [s].
 LONGEST_CHECK = 2.0 * WATCHDOG_PERIOD
 
 #: Presence messages: a node reports that it is active or stopped (``here NODE``, ``gone NODE``), and that a partner is
 #: lost or back (``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``; NAME is the partner's full name).
 HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
-#: Presence message of the plant when a person has started a stopped axis: ``started NODE``.
+#: Presence message of the plant after a person has started a stopped axis: ``started NODE``.
 STARTED = "started"
-#: Number of measurements of a stopped axis that may still arrive after the plant has announced the start.
+#: Number of measurements that may still report a stopped axis after the plant has announced the start.
 UNDER_WAY = 2
 
 #: Queue depth of the presence messages.
 PRESENCES = 20
 
-#: Number of messages after which a partner that has not reported its kind can be lost; allowed silence [s] of a partner
-#: that has just begun, because the nodes of an axis are still starting; and allowed silence of any partner [samples].
+#: Number of messages from which a partner that has sent no presence message can be lost; allowed silence [s] of a
+#: partner that has just started, because the nodes of an axis are still starting; and allowed silence of any partner
+#: [samples].
 AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
 
 #: Reason for the loss of a partner that has been replaced.
 ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not announced that it stops"
 
-#: The node that sets the sample times; without its measurements no other node has anything to send.
+#: The node that sets the sample times; without its measurements the other nodes have nothing to send.
 PLANT = "plant_simulator"
 
-#: Fraction of the loss time after which measurements count as paused; after a pause, the matching of answers restarts.
+#: Fraction of the loss time after which measurements count as paused; after a pause, the silence of the other nodes is
+#: counted anew.
 PAUSED = 0.5
 
-#: Consecutive samples that an input may miss before it is no longer awaited.
+#: Number of consecutive samples that an input may miss; the node then no longer waits for it.
 GIVE_UP = 3
 
-#: If a message already waits at more than this number of consecutive measurements, the oldest message is dropped.
+#: If a message is already waiting at more than this number of consecutive measurements, the oldest message is dropped.
 SUSPICION = 50
 
-#: Number of waiting measurements from which the oldest one is answered without its missing inputs.
+#: Number of waiting measurements from which the oldest is answered without its missing inputs.
 BACKLOG = 2
 
-#: Number of missed checks of the inputs above which the process itself counts as halted or short of processor time.
+#: Number of missed checks of the inputs above which the process counts as halted or short of processor time.
 SUSPENDED = 10
 
-#: A message that arrives within this fraction of a period after the previous message has waited in the queue.
+#: A message has waited in the queue if it arrives within this fraction of a period after the previous message.
 WAITED = 0.5
 
-#: Maximum number of samples counted in one check of a stopped input.
+#: Maximum number of missed samples that one check of a stopped input counts.
 MOST_MISSED = 20000
 
 
@@ -95,10 +97,10 @@ class AwakeTime:
 
     def __init__(self, longest: float):
         self._longest = longest
-        self._looked = (0.0, time.monotonic())  # a single value, because two threads read it
+        self._looked = (0.0, time.monotonic())  # one tuple, because two threads read it
 
     def at(self, moment: float) -> float:
-        """Return the awake time at an instant of the monotonic clock that is not before the last check."""
+        """Return the awake time at an instant of the monotonic clock after the last check."""
         awake, looked = self._looked
         return awake + min(moment - looked, self._longest)
 
@@ -128,7 +130,7 @@ class Follower:
         """Store a message."""
         self.last = data
         if not self.present:
-            # the measurement of this message has already been answered; the next message is awaited
+            # the measurement of this message has already been answered; the next measurement waits for its message
             self.present, self._owed, self._missed = True, 0, 0
             self.waiting.clear()
         elif self._owed:
@@ -145,11 +147,11 @@ class Follower:
 
     @property
     def ready(self) -> bool:
-        """Whether the oldest measurement need not wait for this input."""
+        """Whether the oldest measurement does not have to wait for this input."""
         return bool(self.waiting) or not self.present
 
     def give(self) -> float:
-        """Return the message of the oldest measurement; if it is missing, the last message, or NaN if ``strict``."""
+        """Return the message for the oldest measurement; if it is missing, the last message, or NaN if ``strict``."""
         if self.waiting:
             self._missed = 0
             return self.waiting.popleft()
@@ -202,7 +204,7 @@ class RealTime(Runner):
         self._presence.publish(String(data=f"{HERE} {self.node.kind}"))
 
     def begin_again(self) -> None:
-        """Announce a reset, because pending messages will not be answered."""
+        """Announce the node again after a reset, because pending messages will not be answered."""
         if self.node.active:
             RealTime.begin(self)
 
@@ -233,7 +235,7 @@ class RealTime(Runner):
         """Do nothing: the other nodes continue until their time-outs."""
 
     def replaced(self, topic: str, name: str) -> None:
-        """Do nothing when another process of a node publishes an input; runners that monitor inputs override this."""
+        """Do nothing if another process of a node publishes an input; runners that monitor inputs override this."""
 
     def matched(self) -> bool:
         """Return whether every publisher of the loop is matched with its partner."""
@@ -287,7 +289,7 @@ class RealTimeResponder(RealTime):
             self._coming.add(partner)
         if state == STARTED and partner == PLANT:
             self._going = UNDER_WAY
-            # a plant that stops and is started again within one sample sends no measurement that reports the stop
+            # if the plant stops and is started within one sample, no measurement reports the stop
             self._has_tripped = bool(self.latched)
         if state in (HERE, LOST, HEARD):
             self._known.add(partner if state == HERE else reporter)
@@ -331,7 +333,7 @@ class RealTimeResponder(RealTime):
         return time.monotonic() - self._last if self.node.sample else math.inf
 
     def _stood_still(self, now: float) -> bool:
-        """Return whether the last check of the inputs is so long ago that a measurement may have waited too long."""
+        """Return whether the last check of the inputs was so long ago that a measurement may have waited too long."""
         return now - self._looked > max(self.node.patience, SUSPENDED * WATCHDOG_PERIOD) + WATCHDOG_PERIOD
 
     def _has_waited(self) -> bool:
@@ -399,7 +401,7 @@ class RealTimeResponder(RealTime):
         self._answer_waiting()
 
     def _lend(self, message) -> None:
-        """Store a measurement that triggers no answer; publish the state of an answer that waits for its stamp."""
+        """Store a measurement that triggers no answer; publish the state of the answer that waits for its stamp."""
         node = self.node
         if not node.read(message, node.row):
             return
@@ -414,13 +416,13 @@ class RealTimeResponder(RealTime):
             self.pair_answer()
 
     def take_command(self, input_, data: float) -> bool:
-        """Put a message that needs no measurement into the row; return False when it must not be answered."""
+        """Put a message that needs no measurement into the row; return False if it must not be answered."""
         node = self.node
         if self._has_waited():
             return False
         if not math.isfinite(data):
             node.refuse_value(input_, data)
-            return False  # such a message counts as missing
+            return False  # counts as missing
         node.pace.tick()
         self._arrived()
         node.take(input_, data)
@@ -429,7 +431,7 @@ class RealTimeResponder(RealTime):
     def pair_answer(self) -> None:
         """Publish ``~/state`` of the last answer if its measurement has arrived."""
         node = self.node
-        # the measurement comes from the plant and the command from the controller, so their order is random
+        # measurement and command come from different nodes, so their order is random
         values = node.state_values()
         stamp = self._pairing.answer(values, self._last)
         if stamp is not None:
@@ -485,7 +487,7 @@ class RealTimeResponder(RealTime):
             name = node.masters.publisher_of("joint_states")
             return {} if PLANT in excused else {PLANT: name or PLANT}
         if counts[0] and now - heard[0] > PAUSED * self.loss_time:
-            return {}  # without measurements no node has anything to answer
+            return {}  # without measurements the other nodes have nothing to answer
         since = max(self._awake, self._flowing)
         return {
             input_.partner: node.masters.publisher_of(input_.topic) or input_.partner
@@ -497,7 +499,7 @@ class RealTimeResponder(RealTime):
         }
 
     def _look_for_losses(self, now: float) -> None:
-        """Keep the part safe while a partner is lost; inform the plant of the loss and of the partner's return."""
+        """Keep the part safe while a partner is lost; report loss and return of the partner to the plant."""
         missing = self._missing(now)
         for partner, name in missing.items():
             if partner not in self._lost or not self.latched:
@@ -517,7 +519,7 @@ class RealTimeResponder(RealTime):
         self.say_of(LOST, partner, name)
 
     def replaced(self, topic: str, name: str) -> None:
-        """Mark a partner as lost when a new process replaces one that had not announced that it stops."""
+        """Mark a partner as lost if a new process replaces one that has not announced that it stops."""
         node = self.node
         partners = {node.resolve_topic_name("joint_states"): (0, PLANT)}
         for place, input_ in enumerate(node.inputs):
@@ -529,14 +531,14 @@ class RealTimeResponder(RealTime):
             self._lose(partner, name or partner, ANOTHER_PROCESS)
 
     def follow_trip(self, tripped: bool) -> None:
-        """Resume when the plant, which has stopped because of a loss, is started again."""
+        """Resume when the plant is started again after its stop because of a loss."""
         self._stopped = tripped
         self._going = max(self._going - 1, 0) if tripped else 0
         if self.latched and tripped:
             self._has_tripped = True
         elif self.latched and self._has_tripped and self.unlatch():
             self._has_tripped = False
-            for partner, name in self._lost.items():  # the reset of the plant has cleared the loss there
+            for partner, name in self._lost.items():  # a reset of the plant has cleared the loss there
                 self.say_of(LOST, partner, name)
 
     @property
@@ -545,7 +547,7 @@ class RealTimeResponder(RealTime):
         return self._going > 0
 
     def missing_partners(self) -> str:
-        """Return the names of the lost nodes; empty when all are present."""
+        """Return the names of the lost nodes; empty if all are present."""
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
@@ -560,7 +562,7 @@ class RealTimeResponder(RealTime):
         return ""
 
     def watch(self) -> None:
-        """Count the samples without a trigger after the time-out of the trigger (timer callback)."""
+        """Check the inputs: count missed samples, and detect lost partners (timer callback)."""
         node = self.node
         now = time.monotonic()
         if self._stood_still(now):
@@ -575,7 +577,7 @@ class RealTimeResponder(RealTime):
         self._look_for_losses(awake)
 
     def _count_missed(self, now: float) -> None:
-        """Count the samples without a trigger."""
+        """Count the samples without a trigger, once its time-out has passed."""
         node = self.node
         if now - self._last < node.patience:
             return
@@ -590,6 +592,6 @@ class RealTimeResponder(RealTime):
             node.miss(0)
             self._counted = now
         elif samples:
-            # after a late check, the missed samples must not be processed in one step
+            # a late check must not process all missed samples in one step
             node.miss(min(samples, max(round(WATCHDOG_PERIOD / self.period), 1)))
             self._counted = now
