@@ -47,10 +47,10 @@ CHANGES = "changes"
 #: Samples between two acknowledgements to the plant.
 STRIDE = 16
 
-#: Time that a real-time recording waits for the publishers of an axis before it releases the plant anyway [s].
+#: Time after which a recording in real time releases the plant although publishers of the axis are missing [s].
 PATIENCE_AT_START = 20.0
 
-#: Duration of silence after the end mark after which a real-time recording ends [s].
+#: Silence after the end mark that ends a recording in real time [s].
 SILENCE = 0.3
 
 
@@ -75,7 +75,7 @@ def sampled_topics(kind: AxisKind, external: bool = False):
 
 
 class RecorderNode(AxisNode):
-    """Writes MCAP in chunks: at exit, Ctrl-C or SIGTERM nothing is lost, and at SIGKILL at most the open chunk."""
+    """Writes MCAP in chunks: exit, Ctrl-C and SIGTERM lose nothing, SIGKILL loses at most the open chunk."""
 
     identity = ("path",)
     has_state = False
@@ -91,7 +91,7 @@ class RecorderNode(AxisNode):
         self._reader: Any = None
         self._fused_plant: Any = None
         self._lost = 0
-        #: Number of entries taken from each change log in this process.
+        #: Number of entries read so far from each change log in this process.
         self._entries_taken: dict[str, int] = {}
 
     def build(self, parameters) -> None:
@@ -140,7 +140,7 @@ class RecorderNode(AxisNode):
 
     @property
     def _period(self) -> float:
-        """Interval of the check for data to write [s]."""
+        """Interval of the check for unwritten data [s]."""
         return min(0.1, 0.5 * self.parameters.chunk_time)
 
     @property
@@ -157,7 +157,7 @@ class RecorderNode(AxisNode):
 
     @property
     def _unfinished(self) -> BagWriter:
-        """The bag; raises RecordingError when nothing can be added to it any more."""
+        """The bag; raises RecordingError if it is finished."""
         bag = self.bag
         if bag is None:
             raise RecordingError(f"{self._opened.path} is finished; start another recorder with another path")
@@ -165,11 +165,11 @@ class RecorderNode(AxisNode):
 
     @property
     def is_fused(self) -> bool:
-        """Whether a loop computes the samples of this node: never, because a recorder computes nothing."""
+        """Always False, because a recorder computes no samples."""
         return False
 
     def _described(self, source: str):
-        """Return the configuration in the recorded text; None for any other text, which is also recorded."""
+        """Return the configuration in the recorded text; None if the text is not one (it is recorded nevertheless)."""
         try:
             return parse_configuration(self._configuration, source)
         except ConfigurationError:
@@ -181,7 +181,7 @@ class RecorderNode(AxisNode):
         return self._scan_clock
 
     def reset_blocks(self) -> None:
-        """Restart the count at sample 0; the bag continues, and readers of the bag show its longest run."""
+        """Restart the count at sample 0; the bag continues, and its readers use the longest run in it."""
         self._counts = [0] * len(self._topics)
         self._acknowledged = 0
         self._ended: set[str] = set()
@@ -196,11 +196,11 @@ class RecorderNode(AxisNode):
             heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
             self._record(topic, message_type, heard, durability, index=index, partner=partner)
         if self.parameters.external_plant and self.runner.by_message:
-            # an external plant may report its outputs here
+            # an external plant may publish its outputs here
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # setpoints are recorded from the node that accepts them, because a publisher that exits soon after its message
-        # may be discovered too late
+        # setpoints are recorded from the node that accepts them, because the recorder may discover a publisher that
+        # exits soon too late
         heard = f"{self._axis_kind.source}/taken"
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
@@ -216,7 +216,7 @@ class RecorderNode(AxisNode):
         for topic, message_type in self._further:
             self._record(topic, message_type, setpoint_qos(), "volatile")
         self._acknowledge = self.publisher(UInt64, "~/acknowledged", latched_qos())
-        # a parallel `ros2 bag record` finds the parameters here as well
+        # a parallel `ros2 bag record` also records the parameters from here
         self._announce = self.publisher(String, "configuration", latched_qos())
 
     def begin(self) -> None:
@@ -234,7 +234,7 @@ class RecorderNode(AxisNode):
         self.timer(self._period, self._tend)
 
     def _record(self, topic: str, message_type, qos, durability: str, *, index=-1, partner="", heard="") -> str:
-        """Record a topic, received on the topic ``heard`` if given; return the full name of the received topic."""
+        """Record a topic, or under its name the topic ``heard``; return the full name of the received topic."""
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
         def write(data: bytes) -> None:
@@ -245,7 +245,7 @@ class RecorderNode(AxisNode):
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
                 return  # an external plant continues to measure
             if topic == "setpoint" and not heard and self.count_publishers(self._taken):
-                return  # the message is written when it is accepted
+                return  # written when the setpoint is accepted
             self.recording.attempt(lambda bag: bag.write(written, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
@@ -261,11 +261,11 @@ class RecorderNode(AxisNode):
 
     @property
     def _takes_logs(self) -> bool:
-        """Whether a loop in this process computes the samples, and entries of the change log are read directly."""
+        """Whether a loop in this process computes the samples, so that change logs are read directly."""
         return self.fused is not None and self.runner is not None and not self.runner.by_message
 
     def _is_taken(self, data: bytes) -> bool:
-        """Return whether an entry belongs to a change log in this process, which is read directly."""
+        """Return whether an entry belongs to a change log of this process, which is read directly."""
         with contextlib.suppress(ValueError, AttributeError):
             logs = self.fused.nodes if self._takes_logs else ()
             return read_json(deserialize_message(data, String).data).get("node") in logs
@@ -280,7 +280,7 @@ class RecorderNode(AxisNode):
                 self._ended.add(entry.get("node"))
 
     def _lacking_changes(self) -> set[str]:
-        """Return the nodes whose change log has not ended; return an empty set after the time-out for lost messages."""
+        """Return the nodes whose change log has not ended; after the time-out for lost messages, an empty set."""
         waited = time.monotonic() - self._last_arrival
         if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
             return set()
@@ -294,14 +294,14 @@ class RecorderNode(AxisNode):
             self.runner.heard()
         if index == 0:
             self.pace.tick()
-            self.sample = counts[0] - 1  # the present sample; sample 0 may last until all nodes have started
+            self.sample = counts[0] - 1  # the present sample; sample 0 lasts until all nodes have started
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
     # -- samples of a loop in this process -----------------------------------------------------------------------
 
     def record_loop(self, fused) -> None:
-        """From a loop's next sample on, read all samples from its ring instead of messages."""
+        """Read all samples from the ring of a loop instead of messages, beginning with its next sample."""
         plant = fused.plant
         parameters = plant.parameters
         if self._samples is None and self.bag is not None:
@@ -319,7 +319,7 @@ class RecorderNode(AxisNode):
         self._reader, self._fused_plant = fused.reader(), plant
 
     def take_samples(self) -> None:
-        """Write the new samples of the loop, and before them the changes that affect these samples."""
+        """Write the new samples of the loop after the changes that affect them."""
         taken = self._reader.take() if self._reader is not None else None
         self._take_changes()
         if taken is None or self._samples is None or self.bag is None:
@@ -327,7 +327,7 @@ class RecorderNode(AxisNode):
         count = taken.table.shape[1]
         self._lost += taken.lost
         if taken.lost:
-            text = f"{taken.lost} samples were overwritten before they were recorded: disk or processor are too slow"
+            text = f"{taken.lost} samples were overwritten before they were recorded: disk or processor is too slow"
             self.warn("lost", text, error=True)
         if not count:
             return
@@ -344,7 +344,7 @@ class RecorderNode(AxisNode):
             self.recording.attempt(lambda bag: bag.write_joint_state(topic, stamp, names, values))
 
     def _take_changes(self) -> None:
-        """Write the change logs of this process; in the bag they precede the samples that need them."""
+        """Write the change logs of this process, so that in the bag they precede the samples that need them."""
         if not self._takes_logs:
             return
         self.fused.tell_changes()
@@ -370,7 +370,7 @@ class RecorderNode(AxisNode):
         if recording.stopped:
             self.warn("stopped", f"recording ended: {recording.stopped}", every=60.0, error=True)
         if not self._began:
-            # real-time topics keep no messages for a late subscriber, so the plant is released when all publishers are
+            # in real time, topics keep no messages for a late subscriber, so the plant waits until all publishers are
             # present
             self._began = now > self._patience or all(map(self.count_publishers, (*self._sampled, self._taken)))
             if self._began:
@@ -384,15 +384,14 @@ class RecorderNode(AxisNode):
         self._last_arrival = time.monotonic()
 
     def missing_partner(self) -> str:
-        """Return the plant, on which all recorded messages depend."""
+        """Return the plant, because all recorded messages depend on it."""
         return "plant_simulator"
 
     def is_done(self) -> bool:
         """Return whether every message of the run is in the bag."""
         return min(self._counts) >= self.end_of_run and not self._lacking_changes()
 
-    #: Longest delay of messages on a busy machine [s]; the last messages come from an axis that moves to its safe
-    #: values.
+    #: Longest delay of messages on a busy machine [s], so that the last motion to the safe values is recorded.
     listens_for = 3.0
 
     @property
@@ -405,7 +404,7 @@ class RecorderNode(AxisNode):
         if self._arrived:
             self._last_arrival, self._arrived = time.monotonic(), False
         silent = time.monotonic() - self._last_arrival > QUIET
-        # in lockstep all nodes are stopped together; otherwise an axis may continue without its recorder
+        # in lockstep all nodes are stopped together; otherwise the axis may continue
         return silent and not ((self.runner.exact or self._ended) and self._lacking_changes())
 
     @property
@@ -438,7 +437,7 @@ class RecorderNode(AxisNode):
         self._opened.finish()
 
     def health(self):
-        """Report the recorded data, and whether messages are missing."""
+        """Report the recorded data, free space, and missing messages."""
         stale = self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate) and self.end_of_run < 0
         recording = self._opened
         values: dict[str, Any] = {
@@ -477,7 +476,7 @@ def _get_message(type_name: str):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([RecorderNode], arguments)
 
 

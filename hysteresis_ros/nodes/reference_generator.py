@@ -10,11 +10,11 @@
 """Node ``reference_generator``: setpoints and waveforms → ``reference``, one for every sample.
 
 A generator that starts with its axis begins as configured: at ``initial_setpoint``, with its waveform. A generator that
-is restarted on a running axis begins at the present position of the axis and holds it until a setpoint arrives. It
-reads this position from ``~/state`` of the controller, because a measurement also contains the preload and the control
-error.
+is restarted on a running axis begins at the present position of the axis, and holds it until a setpoint arrives. It
+reads this position from ``~/state`` of the controller, because a measurement also contains the offset of the preload
+and the control error.
 
-With an external plant, the generator also begins and ends the run: when the loop is complete and the recorder is
+With an external plant, the generator also begins and ends the run: once the loop is complete and the recorder is
 present, it answers the measurements of the external node for the given number of samples.
 """
 
@@ -46,7 +46,7 @@ from hysteresis_ros.references.moves import Settling
 from hysteresis_ros.references.waveforms.scan import clock_of
 
 #: Times after the first measurement [s]: to search for a controller, and to wait for a controller that is present but
-#: silent because it is not active.
+#: sends nothing because it is not active.
 CONTROLLER_LOOK, CONTROLLER_PATIENCE = 1.0, 5.0
 
 #: Modes of a controller that follows its reference.
@@ -85,7 +85,7 @@ class Beginning:
             )
 
     def take(self, message) -> bool:
-        """Return whether this measurement may be answered: only after the start of the reference is decided."""
+        """Return whether this measurement may be answered, that is, whether the start of the reference is decided."""
         node = self._node
         if not self._known and node.active:
             now = time.monotonic()
@@ -102,15 +102,15 @@ class Beginning:
 #: Time-out for the beginning of a run of given length, and interval between log messages while the run waits [s].
 START_PATIENCE, START_REPORT = 30.0, 5.0
 
-#: Number of measurements between the completion of the loop and the first sample, during which the nodes
-#: match answers to measurements.
+#: Number of measurements from the completion of the loop to the first sample, in which the nodes match answers to
+#: measurements.
 SETTLING_SAMPLES = Pairing.SUSPICION + 20
 
-#: Time between the last sample and the end of the run [s], because on a busy machine other nodes answer later than the
+#: Time from the last sample to the end of the run [s], because on a busy machine other nodes answer later than the
 #: source.
 END_GRACE = 0.5
 
-#: Number of stamps from which the rate of the measurements is determined; allowed relative deviation of this rate from
+#: Number of stamps that determine the rate of the measurements, and its allowed relative deviation from
 #: ``sample_rate``.
 RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
 
@@ -135,7 +135,7 @@ class ExternalRun:
         self._recorded = True
 
     def _on_voltage(self, message) -> None:
-        """Store that controller and compensator are connected, because they answer before the first reference."""
+        """Store that controller and compensator are connected: they have answered before the first reference."""
         self._answered = True
 
     def begin(self) -> None:
@@ -150,7 +150,7 @@ class ExternalRun:
             "motion_controller": node.count_publishers(self._command),
             "hysteresis_compensator": node.count_publishers(self._applied),
             "a publisher of joint_states (the external plant)": node.count_publishers(self._joint_states),
-            # in addition to this node and the recorder
+            # this node and the recorder also subscribe to it
             "a subscriber of voltage (the external plant)": node.count_subscribers(self._voltage)
             > 1 + node.parameters.wait_for_recorder,
             "recorder": self._recorded or not node.parameters.wait_for_recorder,
@@ -193,7 +193,7 @@ class ExternalRun:
         self._noted = True
         steps = sorted(later - earlier for earlier, later in zip(self._stamps[:-1], self._stamps[1:], strict=True))
         wanted, rate = self._node.parameters.sample_rate, len(steps) / span
-        # a burst distorts the median interval, and a gap distorts the count; a wrong rate distorts both
+        # a burst distorts only the median interval, a gap only the mean; a wrong rate changes both
         usual = 1e9 / max(steps[len(steps) // 2], 1)
         self._stamps.clear()
         if min(abs(rate - wanted), abs(usual - wanted)) > RATE_TOLERANCE * wanted:
@@ -208,7 +208,7 @@ class ExternalRun:
             return
         text = f"the run waits for {absent or 'a measurement of the external plant'}"
         if node.parameters.samples and waited > START_PATIENCE:
-            node.fail(f"{text} for {waited:.0f} s; start it and repeat the run")
+            node.fail(f"{text} for {waited:.0f} s; start it, and repeat the run")
         else:
             node.warn("waiting", text, every=START_REPORT)
 
@@ -221,7 +221,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     parameters: ReferenceNodeParameters
     identity = ("waveform.type",)
-    #: Infinite, because without measurements there is nothing to answer, so no samples are counted.
+    #: Infinite: without measurements there is nothing to answer, so no samples are counted.
     patience = math.inf
     outputs = (("reference", signals.REFERENCE),)
 
@@ -247,7 +247,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         _REFER(self._laws, self._arrays, self.row)
 
     def after_step(self) -> None:
-        """Update the pending moves, and the setpoint, which a trajectory may have changed."""
+        """Update the moves in progress, and the setpoint, which a trajectory may have changed."""
         super().after_step()
         self.setpoint = self.row[signals.SETPOINT]
         if self.trajectories is not None:
@@ -275,13 +275,13 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.follow_scan(parameters.waveform)
 
     def warn_of_slope(self, parameters) -> None:
-        """Warn of a waveform that the slew rate of the voltage limits; needs a fused axis, to read its other nodes."""
+        """Warn of a waveform that the slew rate of the voltage limits; only if fused, to know the other nodes."""
         axis = replace(self.fused.present_parameters(), reference_generator=parameters)
         if found := steep_warnings(axis):
             self.warn("steep", "; ".join(found))
 
     def follow_scan(self, waveform) -> None:
-        """Let the clock follow the scan of a waveform; without a scan the clock publishes nothing."""
+        """Let the clock follow the scan of a waveform; without a scan it publishes nothing."""
         scans = waveform.type == "scan" and waveform.scan.clock != "none"
         if scans and self.scan_clock is None:
             self.scan_clock = self.make_scan_clock()
@@ -308,7 +308,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.warn("steps", str(problem))
 
     def note_pulses(self) -> None:
-        """Follow a trigger input that starts or holds the generator."""
+        """Note whether the trigger input has started or stopped the generator."""
         if self.parameters.triggers.input.action in ("start", "hold"):
             self.running = self.row[signals.SOURCE_MODE] != STOPPED
 
@@ -354,7 +354,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.trajectories = self.action = self.scan_clock = self.ready = None
 
     def forget_settled(self) -> None:
-        """Restart the settling detection, because an axis without measurements is not ready."""
+        """Restart the settling detection, because an axis without measurements has not settled."""
         self.settling.restart()
         if self.ready is not None:
             self.ready.fall_silent()
@@ -384,7 +384,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             clock.take_all(first, table, self.fused.plant.stamps.of_all, self.scan_axis)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
-        """Make the reference follow a trajectory, or come to rest, from the next sample on; log this change."""
+        """Let the reference follow a trajectory, or come to rest, beginning with the next sample; log this change."""
         if self.is_fused:
             self.fused.apply(self.kind, action, parameters)
         else:
@@ -401,7 +401,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return lambda message: taken(message) if all(one.take(message) for one in awaited) else None
 
     def begin_at(self, position: float) -> None:
-        """Begin at the position of a running axis [m]; a move to a setpoint that has arrived meanwhile starts there."""
+        """Begin at the position of a running axis [m]; if a setpoint has arrived meanwhile, move to it from there."""
         asked = self.setpoint != self.parameters.initial_setpoint
         self.part.begin_at(position)
         if not asked:
@@ -445,7 +445,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     def health(self):
         """Report refused setpoints and the present values."""
-        # in real time, a long time since the last answered sample means that measurements are missing
+        # in real time, measurements are missing if the last answered sample is long ago
         stale = not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate)
         values = {"setpoint_m": f"{self.setpoint:.9g}", "setpoints_refused": self.refused, "stale": stale}
         lost = 0
@@ -464,7 +464,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
 
 def main(arguments=None) -> int:
-    """Run the node; returns the exit code."""
+    """Run the node; return the exit code."""
     return run([ReferenceGeneratorNode], arguments, steered=True)
 
 

@@ -24,7 +24,7 @@ from hysteresis_ros.nodes.triggers import INPUT, TriggerTopic
 from hysteresis_ros.nodes.triggers import NAMES as TRIGGER_NAMES
 from hysteresis_ros.units import micrometres
 
-#: Interval of the check for missing samples, and the time for which samples may be missing [s].
+#: Interval of the check for missing samples, and time for which samples may be missing [s].
 LOOK, SILENCE = 0.1, 0.3
 
 
@@ -40,10 +40,10 @@ SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
 
 
 class ReferenceSource(Responder):
-    """A node that takes setpoints on topics, and by a service that replies.
+    """A node that takes setpoints on topics, and by a service.
 
-    Every accepted setpoint is published on ``~/taken``, which is recorded; the reason of a refusal is published on
-    ``~/refused``, because a topic has no answer.
+    Every accepted setpoint is published on ``~/taken``, which is recorded. The reason of a refusal is published on
+    ``~/refused``, because a publisher of setpoints gets no answer.
     """
 
     parameters: SourceParameters
@@ -51,11 +51,12 @@ class ReferenceSource(Responder):
     refused = 0
     #: Present setpoint [m].
     setpoint = 0.0
-    #: Last published value of ``settled``; None: no value yet; False without topics, so that nothing is published.
+    #: Last published value of ``settled``; None: no value yet; False while the topic does not exist, so that nothing is
+    #: published.
     _told: bool | None = False
     #: Topic of the triggers; None: the axis makes no triggers.
     trigger_out: TriggerTopic | None = None
-    #: Pulses of the trigger input for the next sample.
+    #: Number of pulses of the trigger input for the next sample.
     pulses = 0
 
     def connect(self) -> None:
@@ -110,7 +111,7 @@ class ReferenceSource(Responder):
             self.note_pulses()
 
     def offer_triggers(self, parameters) -> None:
-        """Create the topic of the triggers if these parameters make triggers and the topic does not exist yet."""
+        """Create the topic of the triggers if the parameters make triggers and it does not exist yet."""
         if parameters.triggers.makes_events and self.trigger_out is None:
             self.trigger_out = TriggerTopic(self)
 
@@ -186,7 +187,7 @@ class ReferenceSource(Responder):
         self.take_and_tell(message.data)
 
     def _on_set_setpoint(self, request, response):
-        """Take a setpoint and reply; the request has a parameter, because ROS has no service with one number."""
+        """Take a setpoint and reply; the request sets a parameter, because ROS has no service with one number."""
         given = [(one.name, one.value) for one in request.parameters]
         if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
             reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"

@@ -26,7 +26,7 @@ from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
 TRIPPED_FRAME = signals.TRIPPED_FRAME
-#: Maximum number of joints in a measurement; the joint of the axis is searched among them.
+#: Number of joints at the beginning of a measurement among which the joint of the axis is searched.
 MOST_JOINTS = 1000
 
 
@@ -38,7 +38,7 @@ class Input:
     signal: int  #: Index in the row.
     partner: str  #: Node that publishes the topic.
     previous: bool = False  #: Whether a message belongs to the previous sample, as an achieved command does.
-    #: Whether, in real time, a late message counts as missing; otherwise the last message replaces it.
+    #: In real time, whether a late message counts as missing; otherwise the last message replaces it.
     strict: bool = False
 
 
@@ -96,8 +96,8 @@ class Responder(AxisNode):
         return super()._on_start(request, response)
 
     def hindrance(self) -> str:
-        """Return why this node does not run although the user has not stopped it; empty when it runs."""
-        # a fused loop has advanced since its last sample was published
+        """Return why this node does not run although it was not stopped by the user; empty if it runs."""
+        # the last sample, because a fused loop has advanced since it last published
         row = self.fused.latest()[1] if self.is_fused else self.row
         tripped = abs(row[signals.TRIPPED]) > 0.0 and not self.runner.goes_on
         stopped = "the plant has stopped the axis: call ~/start of plant_simulator to resume" if tripped else ""
@@ -170,14 +170,14 @@ class Responder(AxisNode):
         return True
 
     def read_trip(self, message, row) -> None:
-        """Put into a row whether the axis is stopped, by the plant or because a partner of this node is lost."""
+        """Put into a row whether the axis is stopped by the plant, or because a partner of this node is lost."""
         tripped = message.header.frame_id == TRIPPED_FRAME
         self.runner.follow_trip(tripped)
         row[signals.TRIPPED] = 1.0 if tripped or self.runner.latched else 0.0
 
     @property
     def loss(self) -> str:
-        """Message about the lost partner because of which this part is safe; empty when no partner is lost."""
+        """Message about the lost partner that keeps this part safe; empty if no partner is lost."""
         name = self.runner.latched
         return f"{name} is lost: when it is back, call ~/start of plant_simulator to resume" if name else ""
 

@@ -9,7 +9,7 @@
 
 """Bulk data of the plant: all samples of a fused axis in blocks, and the frames of a plant with a camera.
 
-The other topics of a fused axis contain only the last sample, at ``publish_rate``, and would miss a peak between two
+The other topics of a fused axis contain only the last sample, at ``publish_rate``, and can miss a peak between two
 messages. A block is a table with a row for each quantity and a column for each sample; the label of the first dimension
 contains the names of the quantities.
 """
@@ -30,11 +30,11 @@ from hysteresis_ros.errors import HysteresisError
 
 #: Name of the topic, relative to the name of the plant's node.
 TOPIC = "samples"
-#: Interval between two blocks [s], for 30 blocks per second, the redraw rate of a page.
+#: Interval between two blocks [s]: 30 per second, the redraw rate of a page.
 PERIOD = 1.0 / 30.0
-#: Number of blocks queued for a slow subscriber, which last two seconds.
+#: Number of blocks queued for a slow subscriber, enough for two seconds.
 DEPTH = 60
-#: Maximum number of samples of a block: the ring size of the fastest axis.
+#: Maximum number of samples of a block, above the ring size of the fastest axis.
 MOST = 1_000_000
 #: Rows before the signals: stamp [s and ns since 1970], and number of the sample.
 STAMPED = ("stamp_s", "stamp_ns", "sample")
@@ -55,7 +55,7 @@ class Block(NamedTuple):
 
 
 def samples_qos() -> QoSProfile:
-    """Quality of service of the blocks: reliable, volatile, a depth of two seconds."""
+    """Quality of service of the blocks: reliable, volatile, a queue of two seconds."""
     return QoSProfile(depth=DEPTH)
 
 
@@ -88,10 +88,10 @@ def block_of(message: Float64MultiArray) -> Block:
     begin = len(STAMPED)
     count = len(message.data) // max(len(names), 1)
     if names[: begin + row] != labels(kind, ())[: begin + row] or count * len(names) != len(message.data):
-        raise HysteresisError("samples: the rows are from another version; run the page in the version of the axis")
+        raise HysteresisError("samples: the rows are from another version; use the same version for page and axis")
     table = np.frombuffer(message.data, float).reshape(len(names), count)
     if count > MOST or not np.isfinite(table[:begin]).all():
-        raise HysteresisError(f"samples: a block has at most {MOST} samples, whose times and numbers are finite")
+        raise HysteresisError(f"samples: a block must have at most {MOST} samples with finite times and numbers")
     stamps = table[0].astype(np.int64) * SECOND + table[1].astype(np.int64)
     joints = table[begin + row :] if kind.motor else None
     return Block(stamps, table[2].astype(np.int64), table[begin : begin + row], joints)
@@ -150,7 +150,7 @@ class FramePublisher:
         self._publisher.publish(message)
 
     def get_subscription_count(self) -> int:
-        """Return the number of subscribers of the measurement from the frames; 0 if no node reads the frames."""
+        """Return the number of subscribers of the measurement made from the frames; 0 if no node reads them."""
         node = self._node
         seen = self._publisher.get_subscription_count()
         return node.count_subscribers(node.resolve_topic_name("joint_states")) if seen else 0

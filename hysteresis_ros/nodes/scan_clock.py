@@ -9,8 +9,9 @@
 
 """Topic ``scan_clock``: a message when a frame, line or pixel of a scan begins, with the stamp of the sample.
 
-The messages follow from the samples of the waveform in the reference generators (``waveform_sample``). So the clock
-stays correct when the scan is stopped, restarted or ends, when samples are skipped, and after a change of the waveform.
+The messages are computed from the samples of the waveform in the reference generators (``waveform_sample``). So the
+clock stays correct when the scan is stopped, restarted or ends, when samples are skipped, and after a change of the
+waveform.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ TOPIC, KEPT = "scan_clock", 1000
 #: Contents of ``position``: numbers of the frame, line and pixel that begin (-1: none begins), direction (1:
 #: trace, -1: retrace, 0: a frame), and the time from the exact beginning to the stamp [s].
 NAMES = ("frame", "line", "pixel", "direction", "delay")
-#: Number of samples for which the answers of other axes are awaited.
+#: Number of samples for which the clock waits for the answers of other axes.
 AWAITED = 100
 
 
 class ScanClockTopic:
     """Publishes the clock of a scan that one axis follows, or that several axes of a stage follow together.
 
-    A sample in which the axes are not at the same sample of their waveforms gives no message, because the axes
-    then do not follow the path of the scan.
+    If the axes are not at the same sample of their waveforms, no message is published, because then they do not follow
+    the path of the scan.
     """
 
     def __init__(self, node, topic: str, axes: int = 1):
@@ -55,12 +56,12 @@ class ScanClockTopic:
         self.follow(None)
 
     def follow(self, clock: ScanClock | None) -> None:
-        """Use another scan from the next sample on; None: no scan."""
+        """Use another scan, beginning with the next sample; None: no scan."""
         self._clock = clock
         self._last, self._due = -2, math.inf
 
     def take(self, stamp: int, sample: float, axis: int = 0) -> None:
-        """Take the waveform's sample of one axis, at a stamp [ns]."""
+        """Take the waveform sample of one axis at a stamp [ns]."""
         if self._axes > 1:
             together = self._waiting.setdefault(stamp, {})
             together[axis] = sample
@@ -82,7 +83,7 @@ class ScanClockTopic:
         self._last, self._due = k, self._clock.next_after(k)
 
     def take_all(self, first: int, table: np.ndarray, stamps, axis: int = 0) -> None:
-        """Take consecutive samples of one axis of a fused loop from number ``first`` on, shape (row length, N).
+        """Take consecutive samples of one axis of a fused loop, beginning with number ``first``, shape (row length, N).
 
         ``stamps`` is a function that returns the stamps [ns] of given sample numbers.
         """

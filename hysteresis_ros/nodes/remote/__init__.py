@@ -7,8 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The commands ``hysteresis status|get|set|call|echo|setpoint`` in the graph, without the command ``ros2``.
+"""The commands ``hysteresis status|get|set|call|echo|setpoint|move|quiet`` in the graph, without the command ``ros2``.
 
-Read ``commands`` first, then ``client`` (the node that executes a command). ``session`` keeps a client in the graph,
+Read ``commands`` first, then ``client``, the node that executes a command. ``session`` keeps a client in the graph,
 and ``door`` connects to the session without ROS.
 """

@@ -42,7 +42,7 @@ def done(request: dict, make_client: Callable[[str, float], Client] = Client) ->
             return command(client, **arguments) or 0
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
-        # 1, because it is unknown whether the request was accepted; a refusal is 2
+        # not 2, the code of a refusal, because it is unknown whether the request was accepted
         return 1 if command in (setpoint, move, quiet) and isinstance(error, AbsentError) else 2
 
 

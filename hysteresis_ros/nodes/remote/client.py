@@ -70,7 +70,7 @@ class Client:
                 start_parameter_services=False,
                 enable_rosout=False,
             )
-        except Exception as error:  # rclpy has a separate error class for each fault of a name
+        except Exception as error:  # rclpy has an error class of its own for each kind of wrong name
             self._leave()
             raise HysteresisError(f"namespace {self.namespace}: {str(error).splitlines()[0]}") from None
         self._executor = self._make_executor()
@@ -105,12 +105,12 @@ class Client:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def nodes(self) -> list[str]:
-        """Return the full names of the present nodes, without the nodes of commands."""
+        """Return the full names of the present nodes, except the nodes of commands."""
         found = self.node.get_node_names_and_namespaces()
         return sorted({f"{space.rstrip('/')}/{name}" for name, space in found if not name.startswith("_")})
 
     def settle(self) -> list[str]:
-        """Return the present nodes as soon as there is at least one and no further node appears."""
+        """Wait until there is a node of an axis and no further node appears; return the present nodes."""
         known: list[str] = []
         since = time.monotonic()
 
@@ -125,21 +125,21 @@ class Client:
         return known
 
     def find(self, name: str) -> str:
-        """Return the full name of a node when it is present."""
+        """Wait until a node is present, and return its full name."""
         wanted = self.full_name(name)
         if not self.until(lambda: wanted in self.nodes()):
             raise AbsentError(f"no node {wanted} within {self.timeout:g} s; {self.who_is_there(wanted)}")
         return wanted
 
     def who_is_there(self, wanted: str = "") -> str:
-        """Return a text with the present nodes, and the node whose name is similar to ``wanted``."""
+        """Return a text with the present nodes, and with the node whose name is similar to ``wanted``."""
         found = self.nodes()
         if not found:
             return f"no node is in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: is an axis running?"
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
     def make_client(self, kind, service: str):
-        """Return the client of a service; clients are kept, because finding a service takes longer than its answer."""
+        """Return the client of a service; clients are kept, because finding a service takes longer than using it."""
         return self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
 
     def ask(self, kind, service: str, request=None, seconds: float | None = None):
@@ -151,12 +151,12 @@ class Client:
             raise AbsentError(f"{owner} offers no {service} within {allowed:g} s; is it a node of an axis?")
         future = client.call_async(request or kind.Request())
         if not self.until(future.done, allowed):
-            raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs, or has been killed")
+            raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs or has been killed")
         return future.result()
 
 
 def axis_nodes(names) -> dict[str, list[str]]:
-    """Return the names of an axis' nodes for each namespace that has such nodes."""
+    """Return the names of the nodes of an axis for each namespace with such nodes."""
     found: dict[str, list[str]] = {}
     for full in names:
         namespace, _, name = full.rpartition("/")

@@ -44,7 +44,7 @@ from hysteresis_ros.units import quantity_in, readable
 
 #: Lifecycle transitions that the user can request.
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
-#: Time to wait for the log message with the reason of a refusal [s].
+#: Time to wait for the log message that gives the reason of a refusal [s].
 WORDS = 0.5
 
 
@@ -68,7 +68,7 @@ def call(client: Client, node: str, action: str) -> None:
 
 
 def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
-    """Return the lifecycle state of each node, requested in parallel; ``silent`` when a node does not answer."""
+    """Request the lifecycle states of nodes in parallel, and return them; ``silent`` if a node does not answer."""
     asked = {name: client.node.create_client(GetState, f"{name}/get_state") for name in names}
     client.until(lambda: all(one.service_is_ready() for one in asked.values()))
     ready = {name: one for name, one in asked.items() if one.service_is_ready()}
@@ -116,7 +116,7 @@ def _change(client: Client, full: str, action: str) -> None:
 
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Sources of the last values: node whose ``~/state`` contains the value, name in that message, unit.
+#: Sources of the last values: node whose ``~/state`` contains the value, name of the value there, unit.
 LAST = (
     ("reference_generator", "setpoint", "m"),
     ("inchworm_sequencer", "setpoint", "m"),
@@ -137,7 +137,7 @@ class NodeStatus:
     """Status of one node."""
 
     name: str  #: Full name.
-    state: str  #: Lifecycle state; ``absent`` when there is no such node, ``silent`` when it does not answer.
+    state: str  #: Lifecycle state; ``absent``: the node does not exist; ``silent``: it does not answer.
     level: str = ""  #: level, message: Last diagnostics; empty before the first.
     message: str = ""
     rate: float | None = None  #: Samples per second [Hz].
@@ -155,10 +155,10 @@ class AxisStatus:
     namespace: str
     nodes: list[NodeStatus]
     plant: str = ""  #: External node that publishes ``joint_states``; empty if ``plant_simulator`` publishes them.
-    #: Last values in SI; ``offset``: the part of the displacement that the controller subtracts.
+    #: Last values in SI units; ``offset``: part of the displacement that the controller subtracts.
     last: dict[str, float] = field(default_factory=dict)
-    #: Time ahead of a deadline from which a fused loop polls the clock [µs], and cost of the polling in percent of a
-    #: core.
+    #: Time before a deadline from which a fused loop polls the clock [µs], and the share of a core that polling takes
+    #: [%].
     spin: tuple[float, float] = (0.0, 0.0)
 
 
@@ -171,12 +171,13 @@ def survey(client: Client) -> list[AxisStatus]:
             values = {pair.key: pair.value for pair in status.values}
             reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
 
-    # nodes of this package repeat their last report for a new subscriber; other nodes report when they next publish
+    # nodes of this package repeat their last report for a new subscriber; the first report of other nodes is their next
+    # one
     for keeps in (True, False):
         client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
 
     def there() -> dict[str, list[str]]:
-        """Return the nodes of each axis: nodes found by discovery, and senders of messages that have arrived."""
+        """Return the nodes of each axis: those found by discovery, and senders of diagnostics that have arrived."""
         named_or_heard = sorted({*client.nodes(), *reports})
         return {
             space: names
@@ -193,7 +194,7 @@ def survey(client: Client) -> list[AxisStatus]:
     active = {name for name, state in states.items() if state == "active"}
 
     def reported() -> bool:
-        # a node that has just been activated may have sent its last report before the activation
+        # the last report of a node may be older than its activation
         told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
         places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
         moved = all("displacement" in last[space] for space in found if f"{space}/{PLANT}" in active)
@@ -204,7 +205,7 @@ def survey(client: Client) -> list[AxisStatus]:
 
 
 def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
-    """Return the nodes of each axis when all are present and no other node appears, or at the time-out."""
+    """Wait until all nodes of each axis are present and no more appear, or for the time-out; return the nodes."""
     known: dict[str, list[str]] = {}
     since = time.monotonic()
 
@@ -273,7 +274,7 @@ def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
 
 
 def status(client: Client, as_json: bool) -> int:
-    """Print the status of each axis; return 0 when all nodes are healthy, otherwise 1."""
+    """Print the status of each axis; return 0 if all nodes are healthy, otherwise 1."""
     found = survey(client)
     if as_json:
         table = {axis.namespace or "/": _figures(axis) for axis in found}
@@ -354,7 +355,7 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
     """Set parameters of a node: all of them, or none if one is refused."""
-    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # the import takes half a second
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # imported here, because this takes half a second
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
     rows = {row.name: row for row in table.table()} if table else {}
@@ -414,7 +415,7 @@ def echo(client: Client, topic: str, count: int | None) -> None:
             if count is None:
                 print(f"hysteresis: {name} has no publisher any more", flush=True)
                 return
-            raise AbsentError(f"{said} of {count} messages arrived on {name}, then its publisher left")
+            raise AbsentError(f"{said} of {count} messages arrived on {name}, then its publisher exited")
         elif time.monotonic() - quiet > client.timeout and (count is not None or not said):
             names = ", ".join(map(named, publishers))
             raise AbsentError(f"no message arrived on {name} for {client.timeout:g} s; its publisher is {names}")
@@ -465,7 +466,7 @@ def formatted(message) -> str:
 
 
 def _joints(message: JointState) -> str:
-    """Return the time of a sample, and the value of each joint or signal in SI."""
+    """Return a line with the time of a sample, and the value of each joint or signal in SI units."""
     stamp = message.header.stamp
     parts = [f"{stamp.sec}.{stamp.nanosec:09d} s"]
     units = ((message.velocity, "m/s"), (message.effort, "N"))
@@ -487,7 +488,7 @@ def _plain(value):
     return [_plain(item) for item in value]
 
 
-#: Nodes that take setpoints with an answer, on ``~/set_setpoint``.
+#: Nodes that take setpoints and reply, by the service ``~/set_setpoint``.
 SOURCES = (signals.SOURCE, signals.MOTOR_SOURCE)
 #: Time after which the command prints the reason for waiting [s].
 PATIENCE = 2.0
@@ -498,7 +499,7 @@ ANSWER = 5.0
 def setpoint(client: Client, value: float) -> None:
     """Send a setpoint [m] to the reference source, and print whether it was accepted.
 
-    The source replies, so a setpoint cannot be lost without notice, in contrast to a setpoint on a topic.
+    In contrast to a setpoint on a topic, this setpoint cannot be lost without notice, because the source replies.
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -526,11 +527,11 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
     """
     source = _source(client)
     if source.endswith(signals.MOTOR_SOURCE):
-        raise HysteresisError(f"{source}: an inchworm motor predicts nothing; use `hysteresis setpoint`")
+        raise HysteresisError(f"{source}: moves of an inchworm motor are not predicted; use `hysteresis setpoint`")
     entries: list[dict[str, Any]] = []
 
     def told(number: int) -> dict[str, Any]:
-        """Return the messages of the topic about a move."""
+        """Return the contents of all messages about a move."""
         return {name: value for entry in entries if entry["move"] == number for name, value in entry.items()}
 
     def hear(message: String) -> None:
@@ -571,13 +572,13 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
         return 1
     since = heard["ready"]
     difference = f", {100.0 * (since / predicted - 1.0):+.0f} % from the prediction" if predicted and since else ""
-    skipped = f"; {heard['missing']} samples were skipped or not measured meanwhile" if heard["missing"] else ""
+    skipped = f"; {heard['missing']} samples were skipped or had no measurement" if heard["missing"] else ""
     print(f"ready after {readable(since, 's')}, measured{difference}{skipped}", flush=True)
     return 0
 
 
 def quiet(client: Client, duration: float, tolerance: float | None) -> None:
-    """Hold the command of an axis for a duration [s] if the drift stays within a tolerance [m]; print its answer."""
+    """Hold the command of an axis for ``duration`` [s] if it drifts by at most ``tolerance`` [m]; print the answer."""
     controller = client.find(signals.CONTROLLER)
     given = {"duration": duration, "tolerance": tolerance}
     asked = [Parameter(name, Parameter.Type.DOUBLE, one) for name, one in given.items() if one is not None]
@@ -589,7 +590,7 @@ def quiet(client: Client, duration: float, tolerance: float | None) -> None:
 
 
 def _source(client: Client) -> str:
-    """Find the node that takes the setpoints of an axis by its name, because the topic may have other subscribers."""
+    """Find the node that takes the setpoints of an axis; by its name, because the topic may have other subscribers."""
     wanted = [client.full_name(name) for name in SOURCES]
 
     def there() -> list[str]:
@@ -609,14 +610,14 @@ def _source(client: Client) -> str:
 
 
 def _require_one_axis(client: Client) -> None:
-    """Refuse to wait for an axis without a namespace while other axes run, such as the axes of a stage."""
+    """Refuse to wait for an axis without a namespace if other axes run, such as the axes of a stage."""
     spaces = sorted({space for space, _, name in (one.rpartition("/") for one in client.nodes()) if name in SOURCES})
     if spaces:
         raise HysteresisError(f"no axis is chosen, and there are {', '.join(spaces)}: give --namespace {spaces[0]}")
 
 
 def _require_active(client: Client, source: str) -> None:
-    """Raise an error when the axis cannot move because one of its nodes is not active."""
+    """Raise an error if the axis cannot move because one of its nodes is not active."""
     space = source.rpartition("/")[0]
     names = [f"{space}/{name}" for name in axis_nodes(client.nodes())[space] if name != "recorder"]
     for name, state in lifecycle_states(client, names).items():
@@ -625,11 +626,11 @@ def _require_active(client: Client, source: str) -> None:
         if state != "active":
             to_do = {"unconfigured": "configure", "inactive": "activate"}.get(state)
             hint = f": `hysteresis call {name} {to_do}`" if to_do else ""
-            raise HysteresisError(f"{name} is {state}, the axis would not move{hint}")
+            raise HysteresisError(f"{name} is {state}, so the axis would not move{hint}")
 
 
 def stands(source: str, state: dict[str, float]) -> str:
-    """Return why a source that has taken the setpoint does not move, and the remedy; empty if it moves."""
+    """Return why a source that has taken the setpoint does not move, with a remedy; empty if it moves."""
     from hysteresis_ros.loop.watch import STOPPED, TRIPPED
     from hysteresis_ros.references import inchworm_layout as at
 
@@ -648,7 +649,7 @@ def stands(source: str, state: dict[str, float]) -> str:
 
 
 def _require_moving(client: Client, source: str, value: float, state: dict[str, float]) -> None:
-    """Wait for a sample with the setpoint; raise an error when the axis does not move."""
+    """Wait for a sample with the setpoint; raise an error if the axis does not move."""
 
     state.clear()
 
@@ -672,7 +673,7 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
 
 
 def _followers(client: Client, source: str) -> dict[str, float]:
-    """Return a table that will hold the modes of controller and compensator, by full name; empty for a motor."""
+    """Return a table that is updated with the modes of controller and compensator, by full name; empty for a motor."""
     modes: dict[str, float] = {}
     for name in () if source.endswith(signals.MOTOR_SOURCE) else (signals.CONTROLLER, signals.COMPENSATOR):
         full = f"{source.rpartition('/')[0]}/{name}"
@@ -687,7 +688,7 @@ def _followers(client: Client, source: str) -> dict[str, float]:
 
 
 def _require_followed(client: Client, source: str, modes: dict[str, float]) -> None:
-    """Raise an error if controller or compensator is stopped, because the setpoint does not move the axis then."""
+    """Raise an error if controller or compensator is stopped, because then the setpoint does not move the axis."""
     from hysteresis_ros.loop.watch import STOPPED
 
     client.until(lambda: not any(map(math.isnan, modes.values())), min(ANSWER, client.timeout))
@@ -697,7 +698,7 @@ def _require_followed(client: Client, source: str, modes: dict[str, float]) -> N
 
 
 def _cause(client: Client, source: str, state: dict[str, float]) -> str:
-    """Return a semicolon and the plant's reason for stopping the axis; empty if the plant has not stopped the axis."""
+    """Return "; " and the reason of the plant for stopping the axis; empty if it has not stopped the axis."""
     from hysteresis_ros.loop.watch import TRIPPED
 
     if round(state.get("mode", 0.0)) != TRIPPED:

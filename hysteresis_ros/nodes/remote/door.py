@@ -9,7 +9,7 @@
 
 """Connection of commands to the session that ``hysteresis up`` keeps in the graph; imports no ROS.
 
-A command without the session needs up to several seconds for discovery; the session already knows the nodes. The kernel
+Without the session a command needs up to several seconds for discovery; the session already knows the nodes. The kernel
 releases the address of the session however the session ends, and identifies the user at the other end of a connection.
 """
 
@@ -23,9 +23,9 @@ import struct
 import sys
 from contextlib import suppress
 
-#: Prefixes of the environment variables that determine discovery and identity; a session with other values is not used.
+#: Prefixes of the environment variables that determine discovery and identity; their values select the session.
 ENVIRONMENT = ("ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "CYCLONEDDS_")
-#: Variables with the same prefix that do not affect discovery or identity.
+#: Variables with these prefixes that do not affect discovery or identity.
 OTHERS = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_LOG_DIR", "ROS_HOME", "ROS_PACKAGE_PATH")
 
 
@@ -47,7 +47,7 @@ def is_of_this_user(connection: socket.socket) -> bool:
 
 
 def ask_session(request: dict) -> int | None:
-    """Execute a command in the session, print its output, and return the exit code; None when no session answers."""
+    """Execute a command in the session, print its output, and return the exit code; None if no session answers."""
     if not sys.platform.startswith("linux"):
         return None
     with socket.socket(socket.AF_UNIX) as connection:
@@ -57,7 +57,7 @@ def ask_session(request: dict) -> int | None:
             return None
         if not is_of_this_user(connection):
             return None
-        # a killed session resets the connection
+        # if the session is killed, the connection is reset
         with suppress(ConnectionResetError), connection.makefile("rw", encoding="utf-8") as answers:
             print(json.dumps(request), file=answers, flush=True)
             for line in answers:
@@ -65,5 +65,5 @@ def ask_session(request: dict) -> int | None:
                 if stream == "code":
                     return int(words)
                 print(words, end="", file=sys.stderr if stream == "err" else sys.stdout, flush=True)
-    print("hysteresis: the axis has ended before it answered; see `hysteresis status`", file=sys.stderr)
+    print("hysteresis: the axis ended before it answered; see `hysteresis status`", file=sys.stderr)
     return 1

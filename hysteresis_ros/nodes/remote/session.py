@@ -9,7 +9,7 @@
 
 """``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands while an axis runs.
 
-The session keeps a participant in the graph, so that a command needs no discovery; between commands the session sleeps.
+The session keeps a participant in the graph, so that a command needs no discovery. It sleeps between commands.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.remote.door import address, is_of_this_user
 
 #: Interval between attempts to take over the address of another session [s].
 AGAIN = 1.0
-#: Time for the discovery of all nodes [s]; a session that has run for longer need not wait for further nodes.
+#: Time in which all nodes are discovered [s]; a session that has run for longer does not wait for further nodes.
 INTRODUCED = 5.0
 
 
@@ -94,11 +94,11 @@ class Session:
             connection.sendall(json.dumps(["code", code]).encode() + b"\n")
 
     def _client(self, namespace: str, timeout: float, connection: socket.socket) -> Client:
-        """Return a client that stops with the command that it serves."""
+        """Return a client that stops when the command that it serves exits."""
 
         class Served(Client):
             def hear(self) -> None:
-                # if the connection is readable although nothing more is sent, the command has exited
+                # the command sends nothing more, so the connection becomes readable only when the command exits
                 if select.select([connection], [], [], 0.0)[0]:
                     raise BrokenPipeError
                 super().hear()
@@ -122,7 +122,7 @@ def main() -> None:
     stay_on_this_machine()
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    # the DDS participant exists while there is a node
+    # keeps the DDS participant
     _node = rclpy.create_node(
         "_hysteresis_session", context=context, start_parameter_services=False, enable_rosout=False
     )
