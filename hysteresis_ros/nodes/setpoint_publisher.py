@@ -28,12 +28,12 @@ from hysteresis_ros.nodes.parameters import GuardedServices
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
-#: Time until publisher and subscription are matched on both sides [s]; a volatile message sent earlier is lost.
+#: Time until publisher and subscription are matched on both sides [s]; volatile messages sent earlier are lost.
 ACQUAINTANCE = 0.5
 
 
 class SetpointPublisher(GuardedServices):
-    """Publishes each setpoint at its time on the clock of the axis, which is the stamp of ``joint_states``."""
+    """Publishes each setpoint at its time on the clock of the axis, that is, the stamp of ``joint_states``."""
 
     def __init__(self, schedule, **options):
         super().__init__("setpoint_publisher", **options)
@@ -48,10 +48,10 @@ class SetpointPublisher(GuardedServices):
 
     @property
     def heard(self) -> bool:
-        """Whether all subscribers have been matched for a while; a subscriber may match later than this publisher."""
+        """Whether all subscribers have been matched for some time, because the other side may match later."""
         matched, known = self._setpoint.get_subscription_count(), self.count_subscribers("setpoint")
         if matched == 0 or matched < known or matched != self._matched:
-            # a recorder may be present before the generator
+            # a recorder also subscribes, and may start before the generator
             self._matched, self._found = matched, None
         elif self._found is None:
             self._found = time.monotonic()
@@ -75,15 +75,15 @@ class SetpointPublisher(GuardedServices):
 
 
 def main(arguments=None) -> int:
-    """Publish the setpoints of the command line; return 0, or 1 when there was no subscriber within the timeout."""
+    """Publish the setpoints of the command line; return 0, or 1 if there was no subscriber within the time-out."""
     parser = argparse.ArgumentParser(prog="setpoint_publisher", description=__doc__)
     parser.add_argument("--setpoint", type=float, nargs="+", required=True, help="setpoints [m]")
     parser.add_argument("--at", type=float, nargs="+", default=[0.0], help="axis time of each setpoint [s]")
     parser.add_argument("--namespace", default="", help="namespace of the axis")
-    parser.add_argument("--timeout", type=float, default=30.0, help="how long to wait for a reference generator [s]")
+    parser.add_argument("--timeout", type=float, default=30.0, help="longest wait for a reference generator [s]")
     options = parser.parse_args(arguments)
     if len(options.at) != len(options.setpoint):
-        parser.error(f"{len(options.setpoint)} setpoints but {len(options.at)} times: give --at one time for each")
+        parser.error(f"{len(options.setpoint)} setpoints but {len(options.at)} times: give as many times (--at)")
     stay_on_this_machine()
     namespace = normalised_namespace(options.namespace)
     arguments = ["--ros-args", "--enclave", enclave_of(namespace, OPERATOR)]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Run nodes until they finish, fail or are stopped; exit codes and signals are the same for all of them."""
+"""Run nodes until they finish, fail or are stopped, with the same exit codes and signals for all nodes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MADV_DONTNEED = 4
 
 
 def release_compiler() -> None:
-    """Release the code pages of LLVM once all kernels are loaded; Linux reads them again on demand.
+    """Release the code pages of LLVM after all kernels are loaded; Linux reads them again on demand.
 
     Only executable pages that are mapped from the file are released; such pages are never written.
     """
@@ -66,15 +66,15 @@ def refused(error: HysteresisError) -> int:
     return 2
 
 
-#: Interval of the check for signals and finished nodes while no message arrives [s].
+#: While no message arrives, interval of the check for signals and finished nodes [s].
 LOOK = 0.05
 
-#: Time for messages to be acknowledged at the regular end of a run, and at its end by a signal or an error [s]. An
+#: Longest wait for acknowledgements at the regular end of a run, and at an end by a signal or an error [s]. An
 #: acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay exits.
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
-#: Largest number of callbacks that an executor still runs for nodes that were released.
+#: Largest number of scheduled callbacks that an executor still runs after nodes were released.
 MOST_SCHEDULED = 100
 
 #: Module whose functions the compiler calls back.
@@ -85,7 +85,7 @@ QUIET = 0.1
 
 
 def make_executor():
-    """Return rclpy's EventsExecutor (a tenth of the default executor's cost) if it exists, or the default executor."""
+    """Return rclpy's EventsExecutor (a tenth of the default executor's processor time), or else the default one."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -94,7 +94,7 @@ def make_executor():
 
 
 def called_by_compiler(frame) -> bool:
-    """Return whether a callback of the compiler runs; it would swallow an exception, and the compilation would fail."""
+    """Return whether a callback of the compiler runs; it would swallow an exception, and compilation would fail."""
     while frame is not None and frame.f_globals.get("__name__") != COMPILER:
         frame = frame.f_back
     return frame is not None
@@ -103,7 +103,7 @@ def called_by_compiler(frame) -> bool:
 def run(factories, arguments=None, steered: bool = False) -> int:
     """Create nodes, start them, and spin until the end.
 
-    ``steered``: whether users send setpoints to these nodes; if ``ros2`` has started such nodes, a session for the
+    ``steered``: whether users send setpoints to these nodes; if so, and ``ros2`` has started them, a session for the
     users' commands is kept.
     """
     stop: list[int] = []
@@ -117,13 +117,13 @@ def run(factories, arguments=None, steered: bool = False) -> int:
             if called_by_compiler(frame):
                 signal.setitimer(signal.ITIMER_REAL, LOOK)
             else:
-                raise SystemExit(0)  # exit now, because compiling the kernels may take long
+                raise SystemExit(0)  # do not wait for the end of a compilation, which may take long
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, request_stop)
     kept = contextlib.ExitStack()
     if leave_with_ros2() and steered:
-        # started before rclpy, because a process with other threads must not be forked
+        # before rclpy, because a process with other threads must not be forked
         kept.enter_context(session(node_environment()))
     nodes: list = []
     claims: list = []
@@ -131,7 +131,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
     try:
         try:
             stay_on_this_machine()
-            set_logger_level("rcl", LoggingSeverity.FATAL)  # errors about wrong arguments are also raised as exceptions
+            set_logger_level("rcl", LoggingSeverity.FATAL)  # wrong arguments also raise exceptions
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )
@@ -139,7 +139,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
             require_admission(domain)
             nodes += [factory() for factory in factories]
             claims += [claim(domain, node.get_fully_qualified_name()) for node in nodes if node.kind != "recorder"]
-        except Exception as error:  # rclpy raises its own and C++ errors for refused names and files
+        except Exception as error:  # for refused names and files, rclpy raises errors of its own and of C++
             # without the line numbers in rcl's C sources
             print(f"error: {' '.join(str(error).split(', at /')[0].split())}", file=sys.stderr)
             return 2
@@ -171,9 +171,9 @@ def run(factories, arguments=None, steered: bool = False) -> int:
 def _release(executor, nodes: list, claims: list) -> None:
     """Release the nodes, their DDS entities and their names."""
     for node in nodes:
-        node.release()  # also after an exception: no thread may continue to publish
+        node.release()  # also after an exception, because no thread may continue to publish
     if executor is not None:
-        # an executor keeps a node, and the node its participant, while a callback is scheduled
+        # while a callback is scheduled, the executor keeps its node, and the node keeps its participant
         for _ in range(MOST_SCHEDULED):
             executor.spin_once(timeout_sec=0.0)
     for node in nodes:
@@ -190,7 +190,7 @@ def _release(executor, nodes: list, claims: list) -> None:
 def _collect() -> None:
     """Free the nodes now: lifecycle nodes are in reference cycles, and keep the DDS participant until collected.
 
-    Otherwise the C library destroys the participant at the end of the process while threads still use it. This has
+    Otherwise the C library destroys the participant at the end of the process while threads still use it, which has
     sometimes caused an abort long after the run was over and its bag was closed.
     """
     gc.unfreeze()
@@ -198,10 +198,10 @@ def _collect() -> None:
 
 
 def _over(nodes) -> bool:
-    """Return whether a node has failed or all have finished; called seven times per sample, so without generators."""
+    """Return whether a node has failed or all have finished; fast, because it is called seven times per sample."""
     finished = True
     for node in nodes:
-        # a node that a user has configured with wrong parameters waits for other parameters
+        # a node that was configured with wrong parameters waits for other parameters
         if node.failure and node.parameters is not None:
             return True
         finished = finished and node.finished
@@ -236,8 +236,8 @@ def _leave(executor, nodes, regular: bool) -> None:
     if regular:
         for node in nodes:
             node.wait_acknowledged(deadline)
-    # The controller exits before the compensator, and the compensator before the plant, which still receives the safe
-    # voltage.
+    # The controller exits before the compensator, and the compensator before the plant, so the plant still receives the
+    # safe voltage.
     listening = []
     for node in reversed(nodes):
         if not node.active:

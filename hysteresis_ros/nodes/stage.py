@@ -6,18 +6,18 @@
 # Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
-"""Executable ``hysteresis_stage``: runs the nodes of one kind or of all kinds, for all axes, in one process.
+"""Executable ``hysteresis_stage``: runs the nodes of one kind, or of all kinds, for all axes in one process.
 
-Each axis has four nodes in its own namespace, with the same topics, services and parameters as a single axis. The nodes
-of one kind of all axes share a process. In this process the structure couples the plants, and the decoupling couples
-the compensators; references and controllers are the same as for a single axis. ``hysteresis_stage KIND`` runs the
-nodes of one kind; without a kind it runs all of them, and with ``--recorder`` also the recorders. The parameter file of
-the stage follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all
-nodes are in this process.
+Each axis has four nodes in its own namespace, with the same topics, services and parameters as a single axis. All nodes
+of one kind share a process. In the process of the plants the structure couples them, and in that of the compensators
+the decoupling; references and controllers are the same as for a single axis. ``hysteresis_stage KIND`` runs the nodes
+of one kind; without a kind it runs all of them, and with ``--recorder`` also the recorders. The parameter file of the
+stage follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all nodes
+are in this process.
 
-On a stage, all axes stop when the plant of one axis trips, and all controllers are safe while the measurement of one
-axis is stale. This module applies this rule to nodes; :func:`hysteresis_ros.loop.stage.stage_ticks` applies it in the
-compiled loop.
+On a stage, all axes stop when the plant of one axis trips, and all controllers go to their safe commands while the
+measurement of one axis is stale. This module applies this rule to nodes; :func:`hysteresis_ros.loop.stage.stage_ticks`
+applies it in the compiled loop.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ SETPOINTS, JOINT_TRAJECTORY = "setpoints", "joint_trajectory"
 
 
 class Group:
-    """The nodes of one kind of all axes of a stage, in one process; the rows of the nodes are the rows of one table."""
+    """The nodes of one kind of all axes of a stage, in one process; their rows are the rows of one table."""
 
     def __init__(self, parameters: StageParameters):
         self.parameters = parameters
@@ -115,7 +115,7 @@ class StagePlants(Group):
         self._publisher: Any = None
 
     def settle(self) -> None:
-        """Put the structure to rest at the initial voltages of the plants, as soon as all plants are configured."""
+        """Bring the structure to rest at the initial voltages of the plants, as soon as all plants are configured."""
         parts = [node.part for node in self.nodes]
         if len(parts) == len(self.rows) and None not in parts:
             self.coupling.settle(parts)
@@ -138,7 +138,7 @@ class StagePlants(Group):
         self._publisher.publish(whole)
 
     def connect(self, node) -> None:
-        """Create the topic of all joints in the first plant."""
+        """Create the topic of all joints, which the first plant publishes."""
         if node is self.nodes[0]:
             topic = f"{self.parameters.namespace}/joint_states"
             self._publisher = node.publisher(JointState, topic, node.qos())
@@ -159,7 +159,7 @@ class StagePlants(Group):
 
 
 class LockstepStagePlant(LockstepPlant):
-    """Publishes sample k of all axes together, and continues with k+1 when all their voltages of k have arrived."""
+    """Publishes sample k of all axes together, and continues with k + 1 when all voltages of k have arrived."""
 
     def advance(self) -> None:
         """Publish the present sample when the partners and the recorders of all axes are ready."""
@@ -178,7 +178,7 @@ class LockstepStagePlant(LockstepPlant):
             self.advance()
 
     def missing_voltage(self) -> str:
-        """Return this axis' partner whose input for the present sample is missing; other plants report theirs."""
+        """Return the partner of this axis whose input for the sample is missing; other plants report their own."""
         return "" if self.is_answered else super().missing_voltage()
 
 
@@ -199,7 +199,7 @@ class RealTimeStagePlant(RealTimePlant):
             RealTimePlant.start_time(self._first)
 
     def stop_time(self) -> None:
-        """Stop the timing thread, because a stage that lacks one of its plants has no samples."""
+        """Stop the timing thread, because a stage has samples only while all its plants are active."""
         if self._first is not None:
             RealTimePlant.stop_time(self._first)
 
@@ -208,7 +208,7 @@ class RealTimeStagePlant(RealTimePlant):
         return all(RealTimePlant.is_awaited(one, recorded) for one in self.node.group.runners)
 
     def align_now(self) -> bool:
-        """If the count of voltages of any axis must restart, wait until no voltage of any axis is pending."""
+        """If the count of voltages of one axis must restart, wait until no voltage of any axis is pending."""
         runners = self.node.group.runners
         if any(one.is_unaligned for one in runners):
             for one in runners:
@@ -306,7 +306,7 @@ class StagePlantNode(PlantSimulatorNode):
                 super(StagePlantNode, node).go_on()
 
     def explain_trip(self) -> str:
-        """Return why the plant has stopped the axis: a reason of its own, or that another axis has stopped."""
+        """Return why the plant has stopped the axis: for a reason of its own, or because another axis has stopped."""
         if not self.part.stopped_with_stage:
             return super().explain_trip()
         cause = next((node for node in self.others if node.part.tripped and not node.part.stopped_with_stage), None)
@@ -321,7 +321,7 @@ class StagePlantNode(PlantSimulatorNode):
 
 
 class StageCompensators(Group):
-    """The compensators of a stage with a decoupling: each actuator's command depends on the commands of all axes."""
+    """The compensators of a stage with decoupling: the command of each actuator depends on the commands of all axes."""
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)
@@ -343,7 +343,7 @@ class StageCompensators(Group):
             node.close_answer()
 
     def note_achieved(self, nodes) -> None:
-        """Put the achieved commands of the degrees of freedom into the rows; only ``nodes`` have new values."""
+        """Write the achieved commands of the degrees of freedom into the rows; only ``nodes`` have new values."""
         for node in nodes:
             self.achieved[node.place] = node.row[signals.APPLIED]
         self.rows[:, signals.APPLIED] = self.achieved
@@ -366,8 +366,8 @@ class LockstepTogether(LockstepResponder):
 class RealTimeTogether(RealTimeResponder):
     """Answers the commands of all axes when all have arrived.
 
-    An axis misses the sample if its command has not arrived before the next command of another axis; an axis that has
-    been silent for its time-out is not awaited.
+    An axis misses the sample if its command has not arrived when the next command of another axis arrives. An axis that
+    has been silent for its time-out is not waited for.
     """
 
     has_command = False
@@ -396,7 +396,7 @@ class RealTimeTogether(RealTimeResponder):
 
 
 class StageCompensatorNode(HysteresisCompensatorNode):
-    """The compensator of one axis of a stage with a decoupling; the other compensators are in the same process."""
+    """The compensator of one axis of a stage with decoupling; the other compensators are in the same process."""
 
     lockstep_runner = LockstepTogether
     real_time_runner = RealTimeTogether
@@ -424,11 +424,11 @@ class StageControllers(Group):
     """The controllers of a stage: they share a feedforward; while one measurement is stale, all axes are safe."""
 
     def exchange_references(self) -> None:
-        """Add the part of the feedforward of the stage to the next command of each axis."""
+        """Add the contribution of the stage's feedforward to the next command of each axis."""
         arrays = self.coupling.arrays
         states = [(node.part.arrays.x.feedforward, node.part.arrays.watch_x.own) for node in self.nodes]
         calls = [1.0 if own[RETURNING] else fed[feeding.CALLS] for fed, own in states]
-        # in real time an axis may miss a sample; the other axes wait for it only once
+        # in real time an axis may miss a sample; the other axes wait for it for one sample only
         if not self.nodes[0].runner.exact and min(calls) < 1.0 and max(calls) < 2.0:
             return
         for (fed, own), row in zip(states, self.rows, strict=True):
@@ -458,17 +458,17 @@ class StageControllerNode(MotionControllerNode):
         group.nodes.append(self)
 
     def after_missing(self) -> None:
-        """Log changes of mode; after the last answer to a sample, also close this sample of the stage."""
+        """Log changes of mode; after the last answer to a sample, also close the sample of the stage."""
         super().after_missing()
         self.group.close_sample()
 
     def reset_blocks(self) -> None:
-        """Reset the controller to rest; its record of references restarts."""
+        """Reset the controller to rest, and restart its record of references."""
         super().reset_blocks()
         self.group.coupling.arrays.known[self.group.nodes.index(self)] = 0.0
 
     def health(self):
-        """Report stale and rejected measurements, saturated commands, and whether another axis keeps this axis safe."""
+        """Report stale and rejected measurements, saturated commands, and that another axis keeps this axis safe."""
         found = super().health()
         if self.part.arrays.watch_x.own[STOP] != WITH_STAGE:
             return found
@@ -484,7 +484,7 @@ class StageSources(Group):
     action: GroupAction | None = None
 
     def take(self, given: dict[str, float]) -> str:
-        """Take setpoints [m] by the names of axes, all or none; return why they are refused, or an empty text."""
+        """Take all setpoints [m], given by names of axes, or none; return why they are refused, or an empty text."""
         nodes = dict(zip(self.parameters.names, self.nodes, strict=True))
         unknown = [name for name in given if name not in nodes]
         if unknown:
@@ -510,7 +510,7 @@ class StageSources(Group):
         return {node.parameters.joint: node for node in self.nodes}
 
     def rest(self, told: Mapping[str, Told]) -> None:
-        """Bring joints to rest, unless new trajectories have replaced the moves with the callbacks ``told``."""
+        """Bring joints to rest, except those whose move (with its callback in ``told``) has been replaced."""
         moving = [joint for joint, heard in told.items() if not self.by_joint[joint].trajectories.is_replaced(heard)]
         if moving:
             self.follow(dict.fromkeys(moving, REST))
@@ -523,7 +523,7 @@ class StageSources(Group):
     ) -> None:
         """Start the trajectories of several joints, all or none, at the same sample; a joint without points stops.
 
-        ``tolerances`` are given by joint; by default the configured tolerances apply. The callbacks ``told``, also by
+        ``tolerances`` are given by joint; by default the configured tolerances apply. The callbacks ``told``, given by
         joint, are called at the end of each move.
 
         Raises
@@ -563,8 +563,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def __init__(self, group: StageSources, **options):
         self.group, self.place = group, len(group.nodes)
-        #: Requests that affect several axes together: the first affected sample, and the function to call before this
-        #: sample.
+        #: Requests that affect several axes together: first affected sample, and function to call before this sample.
         self.coming: deque = deque()
         super().__init__(**options)
         group.nodes.append(self)
@@ -629,7 +628,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
         self._taken.publish(Float64(data=value))
 
     def before_step(self) -> None:
-        """Put the setpoint into the row."""
+        """Write the setpoint into the row."""
         while self.coming and self.coming[0][0] <= self.sample:
             self.coming.popleft()[1]()
         super().before_step()
@@ -639,7 +638,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
         self.take_and_tell(value)
 
     def follow_now(self, points: Points, tolerances: Tolerances, told: Told | None) -> None:
-        """Follow a trajectory from the present sample on; without points, bring the present trajectory to rest."""
+        """Follow a trajectory, beginning with the present sample; without points, end the present one at rest."""
         trajectories = self.trajectories
         assert trajectories is not None  # from configuration to cleanup
         try:
@@ -662,7 +661,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
             self.trajectories.refuse(error)
 
     def _on_setpoints(self, message) -> None:
-        """Take setpoints of the axes that the label names, separated by commas, or of all axes without a label."""
+        """Take setpoints of the axes that the label names, separated by commas; without a label, of all axes."""
         if len(self.group.runners) < len(self.group.rows):
             return
         label = message.layout.dim[0].label if message.layout.dim else ""
@@ -679,7 +678,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
 
 class StageRecorders(Group):
-    """The recorders of a stage: one recorder for the topics of each axis, and one common bag."""
+    """The recorders of a stage: one for the topics of each axis, with one common bag."""
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)
@@ -730,7 +729,7 @@ STAGE_INPUTS = (SETPOINTS, JOINT_TRAJECTORY, ACTION)
 
 
 def stage_factories(parameters: StageParameters, kinds) -> list:
-    """Return the factories of the nodes of these kinds for all axes; the first node is the last to exit."""
+    """Return the factories of the nodes of these kinds for all axes; the first node exits last."""
     return [make for _, _, make in stage_nodes(parameters, kinds)]
 
 
@@ -776,7 +775,7 @@ KINDS = ("plant_simulator", "hysteresis_compensator", "motion_controller", "refe
 
 
 def main(arguments=None) -> int:
-    """Run the nodes of one kind, or of all kinds, of all axes; returns the exit code."""
+    """Run the nodes of one kind, or of all kinds, for all axes; return the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     kinds = [word for word in arguments if word in (*KINDS, "recorder")]
     if WITH_RECORDER in arguments:

@@ -23,12 +23,11 @@ from hysteresis_ros.analysis.metrics import MOMENT
 #: An interval is an overrun if it is longer than this many periods.
 OVERRUN = 1.5
 
-#: Time without a measurement after which the input is stale [s]; longer if the sample time requires it.
+#: Least time without a measurement after which the input is stale [s]; longer at low sample rates.
 STALE = 1.0
 
 
-#: Interval for counting a rate [s]; over a shorter interval, messages that a busy machine delivers together would
-#: distort the rate.
+#: Interval for counting a rate [s], long enough for messages that a busy machine delivers together.
 WINDOW = 1.0
 
 
@@ -45,12 +44,12 @@ class CountedRate:
         self._rate = 0.0
 
     def begin(self, now: float, total: int) -> None:
-        """Start counting at these values [s, samples], unless the count is running."""
+        """Start counting at this time [s] and number of samples, unless the count is running."""
         if not self._marks:
             self._marks.append((now, total))
 
     def read(self, now: float, total: int) -> float:
-        """Return the present rate [Hz]; 0 in the first second, in which the rate is not known yet."""
+        """Return the present rate [Hz]; 0 in the first second, when it is not known yet."""
         self.begin(now, total)
         while len(self._marks) > 1 and now - self._marks[1][0] >= WINDOW:
             self._marks.popleft()
@@ -62,7 +61,7 @@ class CountedRate:
 
 
 class Pace:
-    """Statistics of the arrival times of samples between two readings; the memory is bounded."""
+    """Statistics of the arrival times of samples between two readings, in bounded memory."""
 
     def __init__(self, period: float = float("inf"), keeps_time: bool = True, capacity: int = 20000):
         self._intervals = array("d", bytes(8 * capacity))
@@ -100,7 +99,7 @@ class Pace:
         self._rate.restart()
 
     def read(self) -> tuple[float, float]:
-        """Return the rate [Hz] of the last second, and 99 % jitter [s] since the last reading.
+        """Return the rate [Hz] of the last second, and the 99th percentile of the jitter [s] since the last reading.
 
         Jitter is the deviation from the median interval.
         """
@@ -121,17 +120,17 @@ class Pairing:
 
     Every measurement is answered once, so the n-th answer belongs to the n-th measurement; the first of the two to
     arrive waits for the other. An answer precedes its measurement only by chance and only by a short time; a
-    measurement may wait as long as a busy machine takes to answer. Two rules keep a loss from shifting all later pairs.
-    First, an entry that waits too long is discarded, for instance the command of a watchdog, which answers no
-    measurement. Second, when several measurements wait at many answers in a row, the oldest measurement was rejected
-    and never answered, so it is dropped. An answer that waits at every measurement is dropped as well, because answers
-    follow their measurements.
+    measurement may wait as long as a busy machine takes to answer. Two rules prevent a loss from shifting all later
+    pairs. First, an entry that waits too long is discarded, for instance the command of a watchdog, which answers no
+    measurement. Second, if several measurements wait at many consecutive answers, the oldest was rejected and never
+    answered, so it is dropped. An answer that waits at many consecutive measurements is dropped as well, because
+    answers follow their measurements.
     """
 
-    #: Maximum number of waiting entries, and their maximum age [s].
+    #: Maximum number of waiting answers and of waiting measurements, and their maximum ages [s].
     ANSWERS, ANSWER_PATIENCE = 2, 0.05
     MEASUREMENTS, MEASUREMENT_PATIENCE = 256, 1.0
-    #: Number of consecutive answers at which several measurements wait, after which the oldest measurement is dropped.
+    #: If several measurements wait at more than this number of consecutive answers, the oldest measurement is dropped.
     SUSPICION = 50
 
     def __init__(self):
@@ -141,13 +140,13 @@ class Pairing:
         self._ahead = 0
 
     def begin(self) -> None:
-        """Assign the next answer to the last measurement, because the earlier ones arrived while no node answered."""
+        """Assign the next answer to the last measurement, because earlier ones arrived while no node answered."""
         self._answers.clear()
         while len(self._measurements) > 1:
             self._measurements.popleft()
 
     def measurement(self, stamp, now: float):
-        """Take a measurement and return its waiting answer; without an answer, let it wait and return None."""
+        """Take a measurement and return its answer; if that has not arrived, store the measurement and return None."""
         self._ahead = self._ahead + 1 if self._answers else 0
         if self._ahead > self.SUSPICION:
             self._answers.popleft()
@@ -155,7 +154,7 @@ class Pairing:
         return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
 
     def answer(self, answer, now: float):
-        """Assign an answer to its measurement and return the measurement's stamp; None: the answer must wait."""
+        """Assign an answer to its measurement and return the stamp of the measurement; None: the answer waits."""
         self._crowded = self._crowded + 1 if len(self._measurements) > 1 else 0
         if self._crowded > self.SUSPICION:
             self._measurements.popleft()
@@ -176,7 +175,7 @@ class Pairing:
 LATELY = 60.0
 #: Beginning of the text that reports how long the output was limited.
 LIMITED = "output limited for"
-#: Name in reports for the voltage limits, in contrast to the slew rate of a return to the path.
+#: Name in reports for the limits of the voltage, in contrast to the slew rate of a return from the safe voltage.
 AMPLIFIER = "limits (range or slew rate)"
 
 
@@ -188,7 +187,7 @@ class LimitedTime:
         self._counts: deque[tuple[float, dict[str, int]]] = deque()
 
     def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
-        """Return for how long limits restricted the output in the last minute, and the causes, the longest first.
+        """Return how long limits restricted the output in the last minute, and the causes, the longest first.
 
         ``sample_rate`` is in Hz, ``now`` in s.
         """
@@ -212,7 +211,7 @@ class LimitedTime:
 
 
 def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> str:
-    """Return for how long limits kept the output from its requested value in a run; empty if only for an instant.
+    """Return how long limits kept the output from its requested value in a run; empty if only for a moment.
 
     Units: ``sample_rate`` [Hz].
     """
@@ -231,13 +230,13 @@ def _causes(counts: dict[str, int]) -> str:
 class Runner:
     """Base of the runners, which decide when a node processes its samples."""
 
-    #: Period of a sample for the statistics of pace [s].
+    #: Sample time for the statistics of the sample times [s].
     period = float("inf")
     #: Whether the node computes its part of a sample when messages arrive.
     by_message = True
     #: Inputs of the node that have stopped, by topic.
     absent: tuple[str, ...] = ()
-    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: no loss.
+    #: Lost partner because of which this node keeps its part safe until the user resumes it; empty: no loss.
     latched = ""
     #: Whether the plant has announced that the axis resumes, but no measurement has confirmed this yet.
     goes_on = False
@@ -246,14 +245,14 @@ class Runner:
         self.node = node
 
     def require_rest(self) -> None:
-        """Raise an error when the node cannot be reset now."""
+        """Raise an error if the node cannot be reset now."""
 
     def make_pace(self) -> Pace:
         """Return the statistics of the sample times."""
         return Pace(self.period)
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when all are present."""
+        """Return the lost nodes without which the axis cannot continue; empty if all are present."""
         return ""
 
     def follow_trip(self, tripped: bool) -> None:

@@ -9,9 +9,9 @@
 
 """Trajectories over ROS: the topic ``joint_trajectory``, and the action ``follow_joint_trajectory``.
 
-The reference generator follows the trajectories (:mod:`hysteresis_ros.references.trajectory`); this module reads them
-from messages and reports the result to the sender. The action exists when the package control_msgs is installed. A
-refused goal is accepted and aborted immediately, because a goal that ROS 2 rejects carries no reason.
+The reference generator follows trajectories (:mod:`hysteresis_ros.references.trajectory`); this module reads them from
+messages, and reports the result to the sender. The action exists when the package control_msgs is installed. A refused
+goal is accepted and aborted immediately, because a goal that ROS 2 rejects carries no reason.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.references.moves import Ending, Move, Tolerances
 from hysteresis_ros.references.trajectory import MOST_POINTS
 
-#: Interval of the check whether samples are missing during a move, and the time for which they may be missing [s].
+#: Interval of the check whether samples are missing during a move, and time for which they may be missing [s].
 LOOK, SILENCE = 0.1, 1.0
 
 #: Topics of trajectories: one in the namespace of the axis, and one to which tools of ros2_control send.
@@ -93,12 +93,12 @@ def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
 
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
-    """Return the tolerances of a goal of the action: 0 means the default, a negative value means unlimited."""
+    """Return the tolerances of a goal of the action; in the goal 0 means the default, a negative value no limit."""
     return tolerances_by_joint(goal, {joint: default})[joint]
 
 
 def tolerances_by_joint(goal, defaults: Mapping[str, Tolerances]) -> dict[str, Tolerances]:
-    """Return the tolerances of a goal of the action for each of its joints, given the joints' defaults."""
+    """Return the tolerances of a goal of the action for each of its joints, from the defaults of the joints."""
     found: dict[str, dict[str, float]] = {joint: {} for joint in defaults}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
         if len(given) > len(defaults):
@@ -139,7 +139,7 @@ class Trajectories:
         return Tolerances(goal, own.trajectory.dwell, own.trajectory.goal_time)
 
     def begin(self) -> None:
-        """Start the timer that aborts the moves of an axis without new samples."""
+        """Start the timer that aborts the moves of an axis that produces no more samples."""
         self._node.timer(LOOK, self._look_for_samples)
 
     def _on_trajectory(self, message) -> None:
@@ -184,7 +184,7 @@ class Trajectories:
         return move
 
     def is_replaced(self, told: Told) -> bool:
-        """Return whether a new trajectory has replaced the move that reports its end to ``told``."""
+        """Return whether a new trajectory has replaced the move with the callback ``told``."""
         number, _ = self._node.part.generator.trajectory
         return any(move.number != number for move, heard in self._moves if heard is told)
 
@@ -259,8 +259,8 @@ def action_type():
 class TrajectoryAction:
     """Goals of the action.
 
-    For rclpy, a goal is executed only when it has ended: a callback that waits for the end would need a thread, or a
-    turn of the executor at every sample.
+    rclpy executes a goal only when the move has ended: a callback that waited for the end would need a thread, or a
+    turn of the executor in every sample.
     """
 
     def __init__(self, node, trajectories: Trajectories, kind, name: str = ACTION):
@@ -322,7 +322,7 @@ class TrajectoryAction:
         return result
 
     def tell(self) -> None:
-        """Publish the feedback of the goals in progress at intervals."""
+        """At intervals, publish the feedback of the goals in progress."""
         node = self._node
         if not self._goals or 0 <= node.sample - self._shown < node.parameters.sample_rate / FEEDBACK:
             return
@@ -346,7 +346,7 @@ class TrajectoryAction:
         return [self._node]
 
     def _ready_words(self, handle) -> str:
-        """Return the predicted and the actual time at which a goal's axis was ready; empty without a prediction."""
+        """Return a text with predicted and measured time until the axis was ready; empty without a prediction."""
         nodes = self._nodes_of(handle)
         move = nodes[0].ready.move if len(nodes) == 1 else None
         if move is None or not math.isfinite(move.predicted):
@@ -357,7 +357,7 @@ class TrajectoryAction:
 
     @staticmethod
     def _tell_ready(feedback, node) -> None:
-        """Write times since the start into the feedback: the predicted time of ready (desired) and now (actual)."""
+        """Write times since the start into the feedback: the predicted time until ready (desired), and now (actual)."""
         move = node.ready.move
         if move is not None and math.isfinite(move.predicted):
             elapsed = len(move.measured) / node.parameters.sample_rate
@@ -370,7 +370,7 @@ REST: Points = {"times": (), "positions": (), "velocities": (), "accelerations":
 
 
 class GroupAction(TrajectoryAction):
-    """Goals for several joints of a stage, which begin with the same sample.
+    """Goals for several joints of a stage, which begin in the same sample.
 
     A goal succeeds when all its joints have arrived. When one joint's move ends in another way, the other joints come
     to rest, and the goal is aborted; the result names that joint.

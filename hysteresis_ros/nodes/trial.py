@@ -64,7 +64,7 @@ class Trial:
             next(topic for name, topic in bag.topics.items() if name.endswith(ending)).received()
             for ending in ("/joint_states", "/voltage")
         )
-        # a voltage answers the last measurement that was received before the voltage
+        # a voltage answers the last measurement that was received before it
         asked = np.searchsorted(measured, voltage, side="right") - 1
         took = 1e-9 * (voltage - measured[np.maximum(asked, 0)])[asked >= 0]
         within = np.quantile(took, [0.5, 0.99, 1.0]).tolist() if took.size else (None,) * 3
@@ -73,7 +73,7 @@ class Trial:
     @contextlib.contextmanager
     def _recorded(self, time_mode: str) -> Iterator[pathlib.Path]:
         """Run the axis and yield its bag, which is removed afterwards."""
-        # a separate namespace, too: another graph may enter the domain while this one runs
+        # also in a namespace of its own, because another graph may enter the domain while this one runs
         plant = replace(self.axis.plant_simulator, samples=self.samples, late_limit=-1)
         axis = replace(self.axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant).with_time_mode(time_mode)
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:

@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from hysteresis_ros import signals
 from hysteresis_ros.nodes.qos import loop_qos
 
-#: Names of the topics: triggers of an axis, their queue depth, and pulses of its trigger input.
+#: Topic of the triggers of an axis, its queue depth, and topic of the pulses of its trigger input.
 TOPIC, KEPT, INPUT = "trigger_out", 1000, "trigger_in"
 #: Contents of ``position``: number of the trigger (from 1), position of the axis [m], direction of motion (1: up, -1:
 #: down), time from the trigger to the stamp [s], and number of triggers since the previous message that were lost

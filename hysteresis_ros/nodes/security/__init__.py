@@ -7,4 +7,4 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""SROS 2 policies of the topics and services of each process: policy writes the file, __main__ inspects the nodes."""
+"""SROS 2 policies for the topics and services of each process: policy writes the file, __main__ inspects the nodes."""

@@ -10,8 +10,8 @@
 """Write an SROS 2 policy of the nodes: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
 
 The nodes are created and configured in an isolated ROS domain, and their topics and services are listed. No driver is
-opened, because the interfaces of a node do not depend on its device; no node is activated, because all its interfaces
-exist once it is configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null),
+opened, because the interfaces of a node do not depend on its device. No node is activated, because all interfaces exist
+once it is configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null),
 ``processes`` (or null: as `up` decides), ``record`` and ``external`` (booleans), ``remap`` (list).
 """
 
@@ -76,8 +76,8 @@ NODES = {
     "recorder": RecorderNode,
 }
 
-#: Optional processes in addition to the nodes: enclave name → function that returns the profile, ``profile(axes,
-#: context, used_by)``.
+#: Optional processes beside the nodes: enclave name → function ``profile(axes, context, used_by)`` that returns the
+#: profile.
 FURTHER = {
     PAGE: "hysteresis_ros.laboratory.watch.link:profile",
     RECORDS: "hysteresis_ros.laboratory.epics.link:profile",
@@ -107,9 +107,9 @@ def enclaves_of(
     record: bool = False,
     remap: tuple[str, ...] = (),
 ) -> list[Enclave]:
-    """Return the enclaves of the processes of a graph with these axes, of its operators and of its monitors.
+    """Return the enclaves of the processes of a graph with these axes, and of its operators and monitors.
 
-    ``stage`` is the stage of these axes, if any; the nodes of one kind of all its axes share a process.
+    ``stage`` is the stage of these axes, if there is one; it has a process for each kind of node.
     """
     stay_on_this_machine()
     context = Context()
@@ -157,7 +157,7 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
 
 
 def _of_people(axis: AxisParameters, context, everyone: tuple[Profile, ...], own: Profile) -> list[Enclave]:
-    """Return the enclaves of the operator, the monitor and the page of an axis with nodes of these profiles."""
+    """Return the enclaves of operator, monitor and page of an axis whose nodes have these profiles."""
     namespace = axis.namespace
     publisher = _of(lambda: SetpointPublisher([(1.0, 0.0)], context=context, namespace=namespace or "/"))
     steering = operator(namespace, everyone, own), publisher
@@ -173,7 +173,7 @@ def _remapped(remap: tuple[str, ...]) -> list[str]:
 
 
 def _of_stage(stage: StageParameters, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
-    """Return the enclaves of a stage: of its processes, its operator and its monitor, and the enclaves of each axis.
+    """Return the enclaves of a stage: those of its processes, operator and monitor, and those of each axis.
 
     The operator of one axis may not publish setpoints and trajectories of the stage, which move the other axes too.
     """
@@ -228,7 +228,7 @@ def _configured(name: str, axis: AxisParameters, context, arguments, folder: pat
 
 
 def _node_options(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path) -> dict:
-    """Return the options with which a node of an axis is created; with them no driver is opened."""
+    """Return the options with which a node of an axis is created without opening a driver."""
     given = getattr(axis, name)
     if name == "plant_simulator":
         given = replace(given, driver="", driver_options=())
@@ -241,7 +241,7 @@ def _node_options(name: str, axis: AxisParameters, context, arguments, folder: p
 
 
 def _described(axis: AxisParameters, folder: pathlib.Path) -> str:
-    """Return the path of an axis' parameter file; empty unless the topics of the recorder depend on it."""
+    """Return the path of an axis' parameter file if the topics of the recorder depend on it; otherwise empty."""
     if axis.reference_generator is None or axis.reference_generator.waveform.type != "scan":
         return ""
     path = folder.with_name(f"{folder.name}.yaml")
@@ -250,10 +250,10 @@ def _described(axis: AxisParameters, folder: pathlib.Path) -> str:
 
 
 def _made(name: str, make):
-    """Return a node; a wrong remapping is refused with the name of the node."""
+    """Return a node; refuse a wrong remapping with the name of the node."""
     try:
         return make()
-    except Exception as error:  # rclpy has a separate error class for each fault of a rule
+    except Exception as error:  # rclpy has an error class of its own for each kind of wrong rule
         raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
 
 
@@ -280,7 +280,7 @@ def _further(name: str, axes: list[AxisParameters], context) -> Profile:
 
 
 def _of(make) -> Profile:
-    """Return the interfaces of a plain node, which exists only temporarily."""
+    """Return the interfaces of a temporary plain node."""
     node = make()
     try:
         return used_by(node)
@@ -315,7 +315,7 @@ def main() -> int:
 
 
 def _axes(request: dict) -> tuple[list[AxisParameters], StageParameters | None]:
-    """Return the axes that `up` would start with the same options, and the stage that couples them."""
+    """Return the axes that `up` would start with these options, and the stage that couples them."""
     everywhere = {"time_mode": request["rate"]} if request["rate"] else {}
     if request["external"]:
         everywhere["external_plant"] = True
@@ -324,7 +324,7 @@ def _axes(request: dict) -> tuple[list[AxisParameters], StageParameters | None]:
     stage = None
     if configuration.stage is not None:
         if request["namespace"]:
-            text = "the nodes of a stage share processes: leave --namespace out"
+            text = "the nodes of a stage share processes: omit --namespace"
             raise ConfigurationError(f"--namespace {request['namespace']}: {text}")
         stage = StageParameters.from_configuration(configuration)
         stage = stage if as_is else stage.in_time()

@@ -25,10 +25,10 @@ VERSION = "0.2.0"
 #: Enclaves of an operator, a monitor, the page server, and the server of motor records.
 OPERATOR, MONITOR, PAGE, RECORDS = "operator", "monitor", "watch", "epics_ioc"
 
-#: Part of the names of an action's topics and services.
+#: Part that the names of an action's topics and services contain.
 ACTION = "/_action/"
 
-#: Elements of a policy file for the parts of a profile: kind of name, and permission.
+#: Elements of a policy file for each field of a profile: kind of name, and permission.
 WORDS = {
     "publishes": ("topic", "publish"),
     "hears": ("topic", "subscribe"),
@@ -43,7 +43,7 @@ INTERNAL = ("/rosout", "/parameter_events", "*/get_type_description")
 
 
 def enclave_of(namespace: str, name: str) -> str:
-    """Return the enclave of a process; without security it is only a name."""
+    """Return the name of the enclave of a process; it has no effect without security."""
     return f"{namespace}/{name}"
 
 
@@ -72,7 +72,7 @@ class Enclave:
 def profile(
     namespace: str, node: str, topics: tuple[Iterable, Iterable], services: tuple[Iterable, Iterable]
 ) -> Profile:
-    """Return the profile of a node with its action topics and services combined into actions."""
+    """Return the profile of a node, in which the topics and services of an action are combined into the action."""
     (publishes, hears), (serves, asks) = topics, services
 
     def actions(names) -> tuple[str, ...]:
@@ -110,7 +110,7 @@ def without(one: Profile, names: set[str]) -> Profile:
 def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profile:
     """Return the permissions of an operator: publish external inputs, subscribe to all topics, call all services.
 
-    Topics between the nodes of the axis, such as ``command`` and ``voltage``, are excluded from publishing.
+    An operator may not publish topics between the nodes of the axis, such as ``command`` and ``voltage``.
     """
     said = _all(nodes, "publishes")
     return Profile(
