@@ -218,11 +218,11 @@ class Axis:
             getattr(part, change.action)(**change.parameters)
 
     def forecast(self) -> Forecast:
-        """Return the drift of a quiet hold, predicted from the present state of the compensator."""
+        """Return the forecast of the drift in a quiet hold, from the present state of the compensator."""
         return Forecast(self.compensator.compensator.creep, self.controller.parameters.quiet.creep_uncertainty)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Replace the scheduled faults; their times count from the present sample."""
+        """Replace the scheduled faults; their times are counted from the present sample."""
         for part in self.by_node.values():
             part.inject(faults)
 

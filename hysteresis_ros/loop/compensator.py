@@ -239,9 +239,9 @@ class CompensatorPart:
         return self.compensator.voltage
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Replace the scheduled faults; their times count from now."""
+        """Replace the scheduled faults; their times are counted from now."""
         p = faulty.fault_parameters(faults, (faulty.COMMAND,), self.parameters.sample_rate)
-        # the sample numbers of the commands also count from now
+        # the sample numbers of the commands are also counted from now
         self.arrays.watch_x.guard[STAMP] = -1.0
         watch_p = self.arrays.watch_p._replace(faults=p)
         self.arrays = self.arrays._replace(

@@ -318,8 +318,8 @@ def carried_out(arrays, applied):
 class ControllerPart:
     """Feedforward, controller and bumpless transfer of an axis, with their monitoring.
 
-    The preload's offset is subtracted from the measurement before the control laws receive the measurement. The laws
-    treat a change of the offset as a motion, so their integrated states stay valid.
+    The control laws receive the measurement minus the offset of the preload. They treat a change of the offset as a
+    motion, so their integrated states stay valid.
     """
 
     def __init__(self, parameters: ControllerNodeParameters):
@@ -395,9 +395,9 @@ class ControllerPart:
         prepare_controllers()
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Replace the scheduled faults; their times count from now."""
+        """Replace the scheduled faults; their times are counted from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
-        # the sample numbers of the measurements also count from now
+        # the sample numbers of the measurements are also counted from now
         self._watch_x.guard[STAMP] = -1.0
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))

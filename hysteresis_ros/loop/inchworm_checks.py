@@ -102,7 +102,7 @@ def _walking_doubts(plant, walk):
     swing = 1.0 / _swing(motor)
     if walk.swing > 0.0 and abs(walk.swing / swing - 1.0) > SWING_RANGE:
         yield (
-            f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider oscillates on the extender at "
+            f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, but the slider oscillates on the extender at "
             f"{swing:.4g} Hz: learning may not converge; set walk.swing to this frequency"
         )
     poles = [complex(pole) for pole in eigenvalues(plant.dynamics.matrices.A)]
@@ -110,7 +110,7 @@ def _walking_doubts(plant, walk):
     if walk.resonance > 0.0 and not any(abs(walk.resonance / mode - 1.0) <= SWING_RANGE for mode in modes):
         said = " and ".join(f"{mode:.4g} Hz" for mode in sorted(modes)) or "none"
         yield (
-            f"inchworm_sequencer: walk.resonance = {walk.resonance:g} Hz, the extender's resonance is {said}: the "
+            f"inchworm_sequencer: walk.resonance = {walk.resonance:g} Hz, but the extender's resonance is {said}: the "
             "error rises with the square of the speed; set walk.resonance to this frequency"
         )
     deflection = abs(motor.slider.force) / motor.extender_stiffness
@@ -142,7 +142,7 @@ def _doubts(motor, gait):
         value = getattr(gait, name)
         if value < SWINGS * swing:
             yield (
-                f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on "
-                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: the slider still oscillates at "
-                f"the end of a step"
+                f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider's "
+                f"oscillation on the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: the slider still "
+                "oscillates at the end of a step"
             )

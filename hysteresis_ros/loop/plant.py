@@ -127,7 +127,7 @@ TRIP_PARAMETERS = 5
 # Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a failed device (kept until
 # a start, whatever follows); a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
-# A relative sensor is being homed: this reason ends by itself, and any other reason replaces it.
+# A relative sensor is being homed: this stop ends without a start, and any other reason replaces it.
 FINDING_HOME = -1
 
 # State: reason of the trip, late voltages so far, late voltages in a row, decaying count of late voltages; mode of the
@@ -426,7 +426,7 @@ class Plant:
         return float(self._watch_x[2 + input_][HELD])
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Replace the scheduled faults; their times count from now."""
+        """Replace the scheduled faults; their times are counted from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
@@ -628,7 +628,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant, and the part that evaluates its frames unless a camera node does so."""
+    """The camera of a plant, and the part that evaluates its frames unless a camera node evaluates them."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera

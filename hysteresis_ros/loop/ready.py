@@ -13,7 +13,7 @@ The closed loop of the move is simulated in advance; its plant is the model of c
 simulation is repeated for each of four deviations of the plant from this model: gain, width of the hysteresis loop,
 slowness and creep. The displacement is assumed to be linear in these deviations. They are estimated from the
 measurements of earlier moves (recursive least squares with forgetting), so a model with an error of some percent
-predicts well from the second move on. Many realisations of the noise at rest are added to the predicted displacement;
+predicts well after the first move. Many realisations of the noise at rest are added to the predicted displacement;
 the predicted time is the median over these realisations.
 """
 

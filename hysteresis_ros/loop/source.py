@@ -375,7 +375,7 @@ class SequencerSource:
             self.arrays = TriggeredSequencerArrays(p, x, self.triggers)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Replace the scheduled faults; their times count from now."""
+        """Replace the scheduled faults; their times are counted from now."""
         self._connect(faulty.fault_parameters(faults, (faulty.MEASUREMENT,), self.parameters.sample_rate))
 
     @property
@@ -412,7 +412,7 @@ class SequencerSource:
             rest_triggers(self.triggers, self.parameters.initial_setpoint)
 
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
-        """Apply new time-outs; while the motor walks, changes of the gait and of the triggers are refused."""
+        """Apply new time-outs; refuse changes of the gait and of the triggers while the sequencer is configured."""
         if parameters.triggers != self.parameters.triggers:
             text = "fixed while the sequencer is configured; clean up and configure again"
             raise ParameterError([Problem("triggers", "changed", text)])

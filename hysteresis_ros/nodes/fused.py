@@ -96,7 +96,7 @@ PYTHON_SWITCH_INTERVAL = 1e-4
 #: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
 COMPILING_TEXT = (
-    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start loads it "
+    "compiling the loop, which takes 10 to 60 s once; until then the nodes do not answer; the next start loads it "
     "from the cache"
 )
 
@@ -593,7 +593,7 @@ class Fused(RealTime):
             self.fused.go_on()
 
     def missing_voltage(self) -> str:
-        """Return an empty text, because no partner is awaited."""
+        """Return an empty text, because the loop waits for no partner."""
         return ""
 
     def explain_trip(self) -> str:

@@ -110,7 +110,7 @@ class Lockstep(Runner):
         node.subscriber(String, "run_state", self._on_run_state, latched_qos())
 
     def begin(self) -> None:
-        """Monitor the partners from activation on."""
+        """Begin to monitor the partners."""
         self._heard_at = self.node.steady.now().nanoseconds
         self.node.timer(WATCH_PERIOD, self.watch_partners)
 

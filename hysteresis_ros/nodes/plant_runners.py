@@ -411,7 +411,7 @@ class RealTimePlant(RealTime):
         self._acknowledged = message.data
 
     def missing_voltage(self) -> str:
-        """Return an empty text, because in real time no partner is awaited."""
+        """Return an empty text, because in real time the plant waits for no partner."""
         return ""
 
     @property

@@ -146,7 +146,7 @@ def explain_trip(part, runner) -> str:
     if part.lost:
         return explain_loss(part.lost, runner.node.get_fully_qualified_name())
     if part.finding_home:
-        return "its relative sensor is being homed at the safe voltage; then the axis resumes by itself"
+        return "its relative sensor is being homed at the safe voltage; then the axis resumes without ~/start"
     if part.halted:
         return "an emergency stop (~/stop of a fused axis, or estop); call ~/start to resume"
     if part.overtravelled:

@@ -222,7 +222,7 @@ class RealTime(Runner):
         self.node.finished = False
 
     def advance(self) -> None:
-        """Do nothing: no input is awaited."""
+        """Do nothing: samples do not wait for inputs."""
 
     def say(self, state: str) -> None:
         """Do nothing: no node subscribes to the state of a run in real time."""
@@ -319,7 +319,7 @@ class RealTimeResponder(RealTime):
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """Inputs that are no longer awaited, by topic."""
+        """Topics of the inputs for which this node no longer waits."""
         inputs = zip(self.node.inputs, self._followers, strict=True)
         return tuple(
             input_.topic

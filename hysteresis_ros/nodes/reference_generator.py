@@ -374,7 +374,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.tell_settled(self.settling.settled)
 
     def show_all(self, first: int, table) -> None:
-        """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
+        """Take the new samples of a fused loop, beginning with number ``first``, shape (row length, N)."""
         super().show_all(first, table)
         if self.ready is not None:
             self.ready.look_at_all(first, table)

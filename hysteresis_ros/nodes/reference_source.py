@@ -102,7 +102,7 @@ class ReferenceSource(Responder):
         raise TypeError(f"{type(self).__name__} must implement when its axis has settled")
 
     def show_all(self, first: int, table) -> None:
-        """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
+        """Take the new samples of a fused loop, beginning with number ``first``, shape (row length, N)."""
         self.look_at(table.T.tolist())
         if self.trigger_out is not None:
             self.recorded(self.trigger_out, TRIGGER_NAMES)

@@ -163,7 +163,7 @@ class Trajectories:
         self._answers.publish(String(data=text))
 
     def follow(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
-        """Follow a trajectory from the next sample on."""
+        """Follow a trajectory, beginning with the next sample."""
         if not self._node.active:
             raise _refused("trajectory", len(points["times"]), "refused: the node is not active")
         ready = getattr(self._node, "ready", None)

@@ -58,7 +58,7 @@ class TriggerTopic:
         self.record(stamp, values)
 
     def take_all(self, first: int, table: np.ndarray, stamps) -> None:
-        """Take consecutive samples from number ``first`` on, shape (row length, N).
+        """Take consecutive samples, beginning with number ``first``, shape (row length, N).
 
         ``stamps`` is a function that returns the stamps [ns] of given sample numbers.
         """

@@ -175,7 +175,7 @@ def _remapped(remap: tuple[str, ...]) -> list[str]:
 def _of_stage(stage: StageParameters, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
     """Return the enclaves of a stage: those of its processes, operator and monitor, and those of each axis.
 
-    The operator of one axis may not publish setpoints and trajectories of the stage, which move the other axes too.
+    The operator of one axis may not publish setpoints and trajectories of the stage, which also move the other axes.
     """
     composed, record = how
     fused, namespace = stage.stage.time_mode == "fused", stage.namespace
