@@ -114,7 +114,7 @@ class QuietHold:
         if not duration:
             return "the quiet hold ends"
         before = 2.0 * max(node.parameters.quiet.average, 2.0 / node.parameters.sample_rate)
-        return f"quiet for {duration:g} s, beginning {before:g} s after the request; {forecast.describe(duration)}"
+        return f"quiet for {duration:g} s, from {before:g} s after the request; {forecast.describe(duration)}"
 
     def _hindrance(self) -> str:
         """Return why the axis is not in closed loop; empty if it is."""
