@@ -550,7 +550,7 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def output_trigger(self, number: int, delay: float) -> None:
-        """Output a trigger that occurred ``delay`` [s] before a sample, if the device does not trigger by itself."""
+        """Output a trigger that occurred ``delay`` [s] before a sample, unless the device itself triggers."""
         if self.parameters.trigger_output and not self._failure and not self.capabilities.compares:
             try:
                 self._opened.output_trigger(number, delay)
@@ -580,7 +580,7 @@ class DrivenPlant(Plant):
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the axis; a device that has failed is accessed again, and a relative sensor is homed again."""
+        """Start the axis; if the device has failed, access it again, and home a relative sensor again."""
         failed, left = bool(self.failure), self._is_left()
         if failed:
             self.sensor.begin_homing()

@@ -214,7 +214,7 @@ INTERPRETED_RATE = 200.0
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
-#: Interval at which the loop's acceptance of a request is polled [s].
+#: Interval of the checks whether the loop has accepted a request [s].
 LOOK = 2e-4
 #: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks; a sleep may
 #: take 5 ms if another thread runs.
@@ -468,7 +468,7 @@ class FusedLoop:
             self._state[at.POSTED] = number
 
     def _switch(self, codes: Mapping[int, int]) -> int | None:
-        """Start or stop parts; return the first sample affected, or None if the thread ended before."""
+        """Start or stop parts; return the first affected sample, or None if the thread has ended before."""
         self._post({place: {at.POST_SWITCH: code} for place, code in codes.items()})
         counts, places = self._own.counts, list(codes)
         wanted = self._asked[places, at.POST_SWITCHES]

@@ -408,8 +408,8 @@ class CommandRangeParameters(Parameters):
         unit="m",
         low=-1.0,
         high=1.0,
-        description="lower limit of the command; if this and command_maximum are 0: one stroke beyond the range of the "
-        "compensator's model if the whole axis is known, else unlimited",
+        description="lower limit of the command; if this and command_maximum are 0: the compensator's range plus one "
+        "stroke on each side, or no limit where the other nodes are unknown",
     )
     command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="upper limit of the command")
 

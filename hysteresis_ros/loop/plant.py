@@ -471,7 +471,7 @@ class Plant:
         self._pack(parameters)
 
     def step_to_safe(self) -> bool:
-        """Move the voltage of a device one sample towards its safe voltage; False when it is reached."""
+        """Move the voltage of a device one step towards its safe voltage; False if it is reached."""
         return False
 
     def home(self) -> None:
@@ -576,7 +576,7 @@ class MotorPlant(Plant):
 
     @property
     def safe_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] when no commands arrive; a clamp keeps its present voltage if this is higher."""
+        """Voltages [V] to which the inputs go without commands; a clamp keeps its present voltage if that is higher."""
         motor = self.parameters.inchworm
         return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
 

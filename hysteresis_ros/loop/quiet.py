@@ -138,7 +138,7 @@ def held_command(own_p, own, measured):
 
 @kernel
 def end_quiet(own):
-    """End a quiet hold because the axis goes to its safe state; the controller will restart."""
+    """End a quiet hold because the axis goes to its safe state; the controller then restarts."""
     own[LEFT] = own[AHEAD] = own[CONTINUES] = 0.0
 
 

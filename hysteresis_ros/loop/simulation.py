@@ -206,7 +206,7 @@ def _value(value):
 
 
 def answers_of(recorded: Recording) -> dict[str, np.ndarray]:
-    """Return the answer of an axis' device in each sample of a recorded run."""
+    """Return what the device of an axis answered in each sample of a recorded run."""
     nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
     absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
     absent["plant_voltage"] = recorded.signals["voltage"]

@@ -387,7 +387,7 @@ class Coupling:
         return CoupledPlant(parameters, self.arrays.drive[own], self.arrays.shown[own], self._travel[place])
 
     def settle(self, plants: Sequence[Plant]) -> None:
-        """Set the structure to rest at the initial voltages of the plants of all axes; devices need no structure."""
+        """Bring the structure to rest at the initial voltages of all plants; devices need no structure."""
         group = self.arrays
         coupled = [plant for plant in plants if isinstance(plant, CoupledPlant)]
         group.commands[:] = group.asked[:] = group.known[:] = 0.0

@@ -144,7 +144,7 @@ class ArrayRunner(RealTime):
         return True
 
     def _await_subscribers(self) -> None:
-        """Wait until the queues of all subscribers have received the samples so far."""
+        """Wait until all subscribers have acknowledged the samples so far."""
         if self.node.sample % STRIDE:
             return
         for publisher in self.node.outputs:

@@ -105,7 +105,7 @@ class ControllerState:
         self._shown, self._before = -1, (math.nan, math.nan)
 
     def tell(self, stamp) -> None:
-        """Publish the present sample, ``controller_state_rate`` times per second of the axis' own time."""
+        """Publish the present sample, at ``controller_state_rate`` in the axis' own time."""
         node, row = self._node, self._node.row
         rate, since = node.parameters.sample_rate, node.sample - self._shown
         if self._shown >= 0 and 0 <= since < rate / node.parameters.controller_state_rate:

@@ -521,7 +521,7 @@ class RealTimePlant(RealTime):
 
     @property
     def _is_open(self) -> bool:
-        """Whether the loop is open, so that voltages are not answers to samples."""
+        """Whether the loop is open, so that voltages do not answer samples."""
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:

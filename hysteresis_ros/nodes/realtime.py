@@ -225,7 +225,7 @@ class RealTime(Runner):
         """Do nothing: samples do not wait for inputs."""
 
     def say(self, state: str) -> None:
-        """Do nothing: no node subscribes to the state of a run in real time."""
+        """Do nothing: in real time no node uses the state of a run."""
 
     def say_of(self, what: str, partner: str, name: str = "") -> None:
         """Announce that a partner is lost or back."""
@@ -250,7 +250,7 @@ class RealTimeResponder(RealTime):
     """Answers measurements on arrival, with their inputs."""
 
     def __init__(self, node):
-        #: Partners that are known, that have left, and that are returning, by kind.
+        #: Kinds of the partners that are known, that have stopped, and that are returning.
         self._known: set[str] = set()
         self._gone: set[str] = set()
         self._coming: set[str] = set()
