@@ -464,9 +464,9 @@ TRIED_PLAYS = 20
 SWINGS, POINTS = 16, 40
 #: Size of the small loop whose gain is compared, as a fraction of the range.
 SMALL = 0.1
-#: Smallest size of the recorded loops from which the speed is determined, as a fraction of the range.
-LARGE = 0.5
-EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
+#: Smallest size of the recorded loops from which the speed is determined, and smallest reversal that ends a loop, as
+#: fractions of the range.
+LARGE, REVERSED = 0.5, 0.05
 
 
 @dataclass(frozen=True)
@@ -480,6 +480,7 @@ class Ambiguity:
     error: float  #: Largest RMS difference of a possible model from the chosen one on loops of decaying amplitude [m].
     stroke: float  #: Stroke of the recording [m].
     held: bool  #: Whether κ has its default value.
+    smallest: float  #: Smallest swing of the recorded voltage, as a fraction of its range.
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -500,12 +501,18 @@ class Ambiguity:
             return ()
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
         return (
-            f"the recording does not determine the gain of loops smaller than its own: {low:+.2g} … {high:+.2g} % at "
-            f"a tenth of the range, {readable(self.error, 'm')} on decaying loops; {self._held()}{EXCITATION}",
+            f"the recording does not determine the gain of small loops: {low:+.2g} … {high:+.2g} % at a tenth of the "
+            f"range, {readable(self.error, 'm')} on decaying loops; {self._held()}{self._remedy()}",
         )
 
     def _held(self) -> str:
         return f"the density keeps the default κ = {PRIOR_DECAY:g}; " if self.held else ""
+
+    def _remedy(self) -> str:
+        how = "(hysteresis excite --recipe decaying)"
+        if self.smallest > SMALL:
+            return f"its smallest loop spans {100.0 * self.smallest:.0f} % of the range: record decaying loops {how}"
+        return f"its small loops are too few or too noisy: record more decaying loops {how}"
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
@@ -532,7 +539,9 @@ def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParamete
         errors.append(float(np.std(difference)))
     if not decays:
         return None
-    return Ambiguity((min(decays), max(decays)), (min(gains), max(gains)), max(errors), data.stroke, held)
+    turns = data.voltage[turning_points(data.voltage, REVERSED)[1:-1]]
+    smallest = float(np.min(np.abs(np.diff(turns)), initial=np.ptp(data.voltage)) / np.ptp(data.voltage))
+    return Ambiguity((min(decays), max(decays)), (min(gains), max(gains)), max(errors), data.stroke, held, smallest)
 
 
 def _decaying(low: float, high: float) -> np.ndarray:

@@ -387,6 +387,21 @@ def test_the_doubt_of_small_loops_is_a_ratio_of_gains():
     assert other == pytest.approx(2.0 * one, rel=1e-9) and one == pytest.approx(2.0, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("sizes", "advice"),
+    [
+        ((1.0, 1.0, 0.4), "its smallest loop spans 40 % of the range: record decaying loops"),
+        ((1.0, 1.0, 0.08), "its small loops are too few or too noisy: record more decaying loops"),
+    ],
+)
+def test_the_advice_for_small_loops_depends_on_those_of_the_recording(sizes, advice):
+    voltage = np.concatenate([50.0 + size * (loops(100.0) - 50.0) for size in sizes])
+    condensed = condense(voltage, hysteresis_block(stack(), T).simulate(voltage), T, 100)
+    found = find_ambiguity(condensed, LinearPart(), stack(), True)
+    (text,) = replace(found, error=found.stroke).warnings
+    assert advice in text
+
+
 def test_the_ambiguity_of_a_rate_dependent_model_holds_at_the_speed_of_the_recording():
     """The same loops of 1 Hz, sampled at 200 Hz and ten times as fast."""
     plays = GeneralisedPlayParameters(
