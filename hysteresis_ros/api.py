@@ -1005,7 +1005,7 @@ def identify(
         turns = None if loops is None else read_stage(loops, columns)
         return identify_stage(stage, realisations(stage, columns), request, turns, base)
     if loops is not None or into is not None:
-        raise HysteresisError("loops and into are for a stage: leave them out, or add columns=hr.StageColumns()")
+        raise HysteresisError("loops= and into= are only for a stage: leave them out, or add columns=hr.StageColumns()")
     reading = read_data(source, columns)
     found = workflow.identify(
         reading, model, linear=linear, options=options, inverse=inverse, progress=progress, **conditions
@@ -1353,7 +1353,7 @@ def configuration_of(source: Source) -> Configuration:
         return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
     if isinstance(source, Recording):
         if not source.configuration:
-            raise ConfigurationError("the recording does not contain the configuration of its axis; give the file")
+            raise ConfigurationError("the recording does not contain the configuration of its axis; give its parameter file")
         return parse_configuration(source.configuration, "the configuration in the recording")
     return load_configuration(source)
 

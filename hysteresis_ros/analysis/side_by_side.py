@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Comparison of several runs, actuators or inchworm motors: a table of their figures, and overlaid charts."""
+"""Comparison of several runs, all of actuators or all of inchworm motors: a table of figures, and overlaid charts."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ from hysteresis_ros.cli.options import Quantity, RunFile
 @click.option(
     "--target",
     metavar="M",
-    help="Print the scale, from this distance between two edges of the first frame, such as 100um.",
+    help="Print the scale. M is the distance, such as 100um, between two parallel edges in the first frame.",
 )
 def camera(frames, output, config, namespace, rate, known, target, **options):
     """Find the tip in FRAMES, a video or a folder of pictures, and write its displacement (measured, in m).

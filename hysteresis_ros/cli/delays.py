@@ -144,8 +144,10 @@ def _interrupted(by_core: dict[int, Lateness], rates: dict[int, float]) -> Delay
     cost = ", ".join(f"core {core} {rate:.0f} per s" for core, rate in rates.items())
     change = ""
     if there and last:
-        change = f"as root: echo 0 | tee {PROC}/irq/*/smp_affinity_list, and stop irqbalance; then realtime.cpu: {last}"
-    return Delay("interrupts", state, f"{cost}; lateness: see isolated cores" if cost else NOT_MEASURED, change)
+        tee = f"echo 0 | tee {PROC}/irq/*/smp_affinity_list"
+        change = f"as root: {tee}, and stop irqbalance; then set realtime.cpu: {last}"
+    measured = f"{cost}; for the lateness see the row 'isolated cores'" if cost else NOT_MEASURED
+    return Delay("interrupts", state, measured, change)
 
 
 def _sleep_states(run: Run) -> Delay:

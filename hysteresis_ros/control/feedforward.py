@@ -250,8 +250,8 @@ class _Parts(NamedTuple):
     """The inverse in model units: causal part (A, B, C), anti-causal part (Λ⁻¹, β, γ) or None, and feedthrough.
 
     The anti-causal part is in the coordinates of the dynamics' state, where Λ⁻¹ is zero for the modes inside the
-    circle. ``near`` contains the weights of the left-out modes for the reference filtered by g* p, from m samples ago
-    to one sample ago.
+    circle. The zeros that are left out (see the module) are modes of the inverse. ``near`` replaces
+    these modes: it contains the weights of the last m samples, oldest first, of the reference filtered by g* p.
     """
 
     degree: int

@@ -18,7 +18,8 @@ Both filters are non-causal, because the whole last period is known. Each sample
 from the samples around the same instant of the previous period. Therefore the end of a period needs no additional
 computation.
 
-For each sample that cannot be used for learning, the ring of errors contains a number that is not finite. If more than
+The errors of the last period are kept in a ring buffer. NaN or infinity replaces the error of a sample that cannot be
+used for learning. If more than
 a tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If saturated commands are
 the reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage
 causes an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is

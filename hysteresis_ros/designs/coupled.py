@@ -129,7 +129,7 @@ def with_written_scan(
 
 
 def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:
-    """Return the response uncertainty of each axis that an identification has written into a parameter file."""
+    """Return, for each axis, the response uncertainty that an identification has written into a parameter file."""
     found = {name: response_uncertainty(configuration, name) for name in parameters.names}
     return {name: known for name, known in found.items() if known is not None}
 

@@ -325,7 +325,7 @@ class CoupledLearning:
         )
 
     def first(self) -> np.ndarray:
-        """Return the corrections of the first run, shape (n, N) [m]: least expected error over all possible stages."""
+        """Return the corrections of the first run, shape (n, N) [m]; they minimise the expected squared error."""
         lines = np.fft.rfft(self.paths, axis=1)
         wanted = lines[:, self.places].T
         mean = np.swapaxes(self.loops.mean, 1, 2).conj()

@@ -110,7 +110,7 @@ def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
 
 
 def require_gentle(step: SetpointStep | None) -> None:
-    """Refuse a feedforward whose voltage exceeds the slew rate in a step to a setpoint."""
+    """Refuse a feedforward whose voltage changes faster than the slew rate in the step to the farthest setpoint."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
             f"feedforward {step.feedforward}: a setpoint {readable(step.size, 'm')} away needs a change "

@@ -17,9 +17,10 @@ feedforward
 
 On the unit circle, G⁻¹ is bounded even if G has zeros outside the unit circle. The impulse response of G⁻¹ then extends
 into the future; preview makes this non-causal inverse possible. Weighted least squares approximate X by an impulse
-response of N samples in both directions. Up to the band the error is weighted by (band / f)², because references have
-smaller amplitudes at high frequencies. Beyond the band X is kept small, because the model is not known there. The
-samples of the impulse response add up to 0 exactly, because at rest the matrix ``decoupling`` alone decouples the axes.
+response of N samples in both directions. The feedforward shall decouple the axes up to a frequency, the *band*. Up to
+the band the error of X is weighted by (band / f)², because references have smaller amplitudes at high frequencies.
+Beyond the band X is kept small, because the model is not known there. The samples of the impulse response add up to 0
+exactly, because at rest the matrix ``decoupling`` alone decouples the axes.
 """
 
 from __future__ import annotations

@@ -376,7 +376,7 @@ class SharedLibrary(Driver):
 
 
 def nonsense(name: str) -> DriverError:
-    """Return the error for a position of the device ``name`` that is not a number."""
+    """Return the error for the device ``name`` if it returns a position that is not a number."""
     return DriverError(f"{name}:", "returns a position that is not a number", "check the sensor and its scaling")
 
 

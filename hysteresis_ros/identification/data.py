@@ -46,7 +46,7 @@ from hysteresis_ros.units import readable
 VOLTAGES = (0.02, 2000.0)
 STROKES = (5e-9, 2e-3)
 GAINS = (1e-9, 2e-4)
-#: Plausible sample time and duration [s].
+#: Longest plausible sample time, shortest plausible duration, longest plausible cycle [s].
 LONGEST_SAMPLE_TIME = 0.5
 SHORTEST_DURATION = 0.1
 LONGEST_CYCLE = 500.0

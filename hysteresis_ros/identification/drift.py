@@ -27,7 +27,8 @@ from hysteresis_ros.identification.validation import inflation
 
 #: Time constants of the relaxations, as fractions of the duration of the recording.
 SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
-#: Assumed standard deviation of each relaxation, in addition to the fitted creep, as a fraction of a step. With this
+#: The residual may contain relaxations that the fitted creep does not describe. Assumed standard deviation of the
+#: amplitude of each of them, as a fraction of a step. With this
 #: spacing of the time constants, relaxations of 0.01 correspond to creep of 2 % per decade.
 CREEP = 0.01
 #: A drift is significant if it exceeds this multiple of its standard deviation.

@@ -10,8 +10,8 @@
 """Identification procedures, one for each model: from checked data and a request to a chain of blocks.
 
 Play-type models are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
-model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
-dynamics and the Bouc-Wen oscillator are fitted to the recording itself.
+model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. Two models
+are fitted to the recording itself: the Bouc-Wen oscillator, and a gain with dynamics.
 
 For models with declared free parameters (:func:`parametric`), the kernel of the nodes simulates the model under the
 recorded voltage. Trust-region steps within the ranges of the parameters, with sensitivities by finite differences,

@@ -199,9 +199,9 @@ class _PastTrials:
         ``part``: the dynamics, if they are known; otherwise a lag is fitted.
 
         If more than the fraction MOST_OMITTED would be omitted, a fit from rest must explain both parts about as well
-        as a fit from ``first`` on explains its samples. Both parts count, because a fit with a wrong history adapts to
-        the longer part. Otherwise, the recording must begin at 0 V, and no remanence may explain these samples clearly
-        better than rest.
+        as a fit from ``first`` on explains its samples. The larger of both errors counts, because a fit with a wrong
+        history adapts to the longer part, and fails only on the shorter one. Otherwise, the recording must begin at
+        0 V, and no remanence may explain these samples clearly better than rest.
         """
         if first == 0:
             return False

@@ -268,7 +268,7 @@ class Predictor:
         self._traces = np.empty((len(PLANTS), 0))
 
     def _look_ahead(self, samples: int) -> None:
-        """Continue the simulation of the move to ``samples`` samples."""
+        """Continue the simulation of the move until it has ``samples`` samples."""
         while (left := samples - self._traces.shape[1]) > 0:
             rows = [one.run(np.full(min(left, CHUNK), self._given))["displacement"] for one in self._axes]
             self._traces = np.concatenate([self._traces, np.array(rows)], axis=1)

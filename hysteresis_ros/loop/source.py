@@ -414,8 +414,8 @@ class SequencerSource:
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
         """Apply new time-outs; refuse changes of the gait and of the triggers while the sequencer is configured."""
         if parameters.triggers != self.parameters.triggers:
-            text = "fixed while the sequencer is configured; clean up and configure again"
-            raise ParameterError([Problem("triggers", "changed", text)])
+            text = "cannot change while the sequencer is configured; clean up and configure again"
+            raise ParameterError([Problem("triggers", parameters.triggers.to_mapping(), text)])
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters
 

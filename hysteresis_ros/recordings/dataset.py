@@ -165,7 +165,7 @@ class Recording:
         numbers = np.rint((self.time - self.time[0]) / self.sample_time)
         if not numbers[-1] < SMALL + RATIO * len(self):
             raise RecordingError(
-                f"{len(self)} samples lie within {numbers[-1]:.4g} sample times: one of the times is wrong"
+                f"only {len(self)} samples, but the times span {numbers[-1]:.4g} sample times: a time is wrong"
             )
         return numbers.astype(np.int64)
 

@@ -218,7 +218,7 @@ RECIPES = {
     "triangles": Recipe(
         "triangles whose peak grows in equal steps up to the end of the range: loop models", _triangles
     ),
-    "decaying": Recipe("two full cycles, then a decaying amplitude: minor loops, alpha of Duhem", _decaying),
+    "decaying": Recipe("two full cycles, then decaying loops; for minor loops and the α of a Duhem model", _decaying),
     "multisine": Recipe(
         "many frequencies simultaneously, small amplitude, around the middle of the range: linear dynamics",
         _multisine,

@@ -91,8 +91,8 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
 NOISY, FAR_AWAY = 0.02, 20.0
 #: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest ratio between measured and expected gain (either way), and largest movement after a small step, as a fraction
-#: of the step.
+#: Largest factor by which gain and stroke may differ from the expected values, in either direction. Largest RMS motion
+#: that may remain after a small step, as a fraction of the response to the step.
 EXPECTED, RINGING = 3.0, 0.25
 #: Relative uncertainty of a resonance fit below which averaging stops.
 CERTAIN = 0.02

@@ -631,7 +631,7 @@ class GcsDriver(Driver):
         self._check(link, *link.numbers(*self._looks))
 
     def _require_rest(self, link: GcsLink) -> None:
-        """Refuse a controller that is not ready, in motion, or not referenced."""
+        """Refuse a controller that is busy, in motion, or not referenced."""
         if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
             raise DriverError(link.name, "is busy with another task", "wait until it is ready, or stop that task")
         for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):

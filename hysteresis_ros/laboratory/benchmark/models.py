@@ -86,7 +86,8 @@ class ClassicalPrandtlIshlinskii:
         return self.sign * (plays(input, self.thresholds) @ self.weights + self.constant)
 
 
-#: Tried numbers of delayed outputs and inputs, and tried ridge parameters, relative to the mean square.
+#: Numbers of delayed outputs and inputs that are tried. Ridge parameters that are tried, as fractions of the mean
+#: squared norm of a regressor.
 ORDERS, RIDGE = ((1, 1), (2, 2), (3, 3), (2, 4)), (1e-10, 1e-7, 1e-4)
 #: Last fraction of the fit data, on which orders and ridge are selected; scaled output above which a free run diverges.
 HELD_OUT, DIVERGED = 0.25, 10.0

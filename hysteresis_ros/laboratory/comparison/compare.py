@@ -160,9 +160,10 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
     around = 8 + DRAWS
     assumptions = (
-        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}; each also runs with "
-        f"gain, loop width, times and creep changed by up to ±{100.0 * conditions.mismatch:g} % after its recording, "
-        f"in {around} variants: the 8 corners of these ranges, and random ones",
+        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}; after its recording, each plant "
+        f"also runs in {around} variants, in which gain, loop width, time constants and creep differ by up to "
+        f"±{100.0 * conditions.mismatch:g} %: the 8 corners of gain, loop width and time constants (the creep changes "
+        f"as the gain), and {DRAWS} random ones",
         f"{_seen(conditions)}, 2 kHz, 0 … 100 V",
         "every candidate was designed from the default identification of one recording of the plant",
     )

@@ -50,7 +50,7 @@ from hysteresis_ros.nodes.remote.commands import stands
 from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 from hysteresis_ros.units import micrometres
 
-#: Frames per second; intervals of the status, of the spectrum and of the plane [s].
+#: Frames per second; intervals at which the status, the spectrum and the picture of the plane are sent [s].
 FRAMES, STATUS, SPECTRUM, PLANE = 25.0, 0.25, 0.5, 0.25
 #: Maximum size of a request [bytes]; maximum number of queued requests of a page.
 LONGEST, WAITING = 64 * 1024, 32

@@ -74,7 +74,7 @@ class BoucWenMechanicalParameters(Parameters):
     mass: float = parameter(description="m", unit="kg", low=1e-15)
     damping: float = parameter(description="c", unit="N·s/m", low=0.0)
     stiffness: float = parameter(description="k", unit="N/m", low=1e-15)
-    alpha: float = parameter(description="α: stiffness of the hysteretic force at zero", unit="N/m", low=0.0)
+    alpha: float = parameter(description="α: stiffness of the hysteretic force z at z = 0", unit="N/m", low=0.0)
     beta: float = parameter(description="β: factor on both γ and δ", unit="1/m (N^(1-ν)/m for exponent ν)")
     gamma: float = parameter(description="γ of |y'| |z|^(ν-1) z")
     delta: float = parameter(description="δ of y' |z|^ν")

@@ -319,7 +319,9 @@ MODEL = HysteresisModel(
         ),
         "density": Option(
             str,
-            "weights over the radius: exponential with a cubic map, free, or the best by cross-validation",
+            "law of the weights over the radius; exponential: with a cubic characteristic after the plays; free: one "
+            "weight for each play, with dead zones if they predict better; auto: the structure with the smallest error "
+            "on held-out blocks",
             choices=("auto", "exponential", "free"),
         ),
     },

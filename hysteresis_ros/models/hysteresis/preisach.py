@@ -71,7 +71,8 @@ class PreisachParameters(Parameters):
     voltage_low: float = parameter(description="lower end of the grid", unit="V")
     voltage_high: float = parameter(description="upper end of the grid", unit="V")
     everett: tuple[float, ...] = parameter(
-        description="E(a, b) at equidistant nodes, a >= b, row by row of rising a: n (n + 1)/2 numbers", unit="m"
+        description="E(a, b), a >= b, at n equidistant nodes: a row for each a, in rising order; n (n + 1)/2 numbers",
+        unit="m",
     )
     slope: float = parameter(0.0, description="reversible part: slope without hysteresis", unit="m/V", low=0.0)
     offset: float = parameter(0.0, description="displacement at voltage_low in negative saturation", unit="m")

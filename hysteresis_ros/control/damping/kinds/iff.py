@@ -15,9 +15,9 @@ The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), for a
 integral of the force is in phase with the velocity, so it damps the poles. With a pure integrator the damping ratio is
 at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force k_f y, and with it the displacement, to
 zero. Therefore the integrator has a leak at ω_c = α β, which is equivalent to a feedthrough β from the command into the
-force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the axis, and
-in steady state the command is equal to the law's output, so γ = 1. Without the high-pass (ω_h = 0) the static force
-stays in the loop, so γ = 1 + k_f α/ω_c.
+force [3]_. A high-pass at ω_h removes constant signals. So an offset of the sensor does not move the axis, a slow drift
+hardly moves it, and in steady state the command u is γ w; with γ = 1 it equals the law's output w. Without the
+high-pass (ω_h = 0) the static force stays in the loop, so γ = 1 + k_f α/ω_c.
 
 The filter is discretised by the bilinear transform with h = 2/T. It does not wind up, because its poles are stable and
 its input is measured even while the command is saturated.

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification of the axis of Wang, Alici & Tan 2014 from recordings of the truth, and the resulting files.
+"""Identification of the axis of Wang, Alici & Tan 2014 from simulated recordings of the assumed true plant; its files.
 
 ``python -m hysteresis_ros.laboratory.papers.wang2014.identification`` makes the recordings, identifies the four models
 and prints what it found; with ``-o DIR`` it writes ``wang2014.yaml`` (Prandtl-Ishlinskii), ``wang2014_duhem.yaml`` (α
