@@ -483,14 +483,18 @@ class Configuration:
     def override(self, node: str, **values) -> Configuration:
         """Return a configuration in which ``node`` (in every namespace; ``""``: every node) has these values.
 
-        Dots in parameter names are written as double underscores: ``waveform__type="hold"``. A node that is neither a
-        node of an axis nor a section of this file is refused.
+        With a slash at the beginning, ``node`` is a complete name or a pattern, as in the sections of a file. Dots in
+        parameter names are written as double underscores: ``waveform__type="hold"``. A node that is neither a node of
+        an axis nor a section of this file is refused.
         """
         name, sections = node.rsplit("/", 1)[-1], {pattern.rsplit("/", 1)[-1] for pattern, _ in self.entries}
         if name and "*" not in name and name not in sections.union(KNOWN_NAMES):
             near = did_you_mean(name, KNOWN_NAMES) or f"; there are {', '.join(KNOWN_NAMES)}"
             raise ConfigurationError(f"{self.source}: there is no node '{name}'{near}")
-        pattern = f"/**/{node}" if node else "/**"
+        pattern = node if node.startswith("/") else f"/**/{node}" if node else "/**"
+        named = [f"{space}/{name}" for space in self.namespaces()]
+        if node.startswith("/") and "*" not in node and node not in (*named, *(entry for entry, _ in self.entries)):
+            raise ConfigurationError(f"{self.source}: there is no node '{node}'; there are {', '.join(named)}")
         flat = {name.replace("__", "."): value for name, value in values.items()}
         return replace(self, entries=(*self.entries, (pattern, flat)))
 

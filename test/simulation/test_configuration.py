@@ -63,6 +63,7 @@ def test_later_entries_win_and_groups_are_flattened():
         ("motion_controler", "there is no node 'motion_controler'; did you mean motion_controller?"),
         ("x/plant_simulatr", "there is no node 'plant_simulatr'; did you mean plant_simulator?"),
         ("qqq", "there is no node 'qqq'; there are plant_simulator, "),
+        ("/y/motion_controller", "there is no node '/y/motion_controller'; there are /motion_controller"),
     ],
 )
 def test_a_change_of_an_unknown_node_is_refused(node, said):
@@ -233,3 +234,21 @@ def test_a_driver_is_found_beside_the_file_that_names_it(tmp_path):
     ):
         file.write_text(text.format(driver=driver))
         assert load_configuration(file).node("plant_simulator")["driver"] == found
+
+
+@pytest.mark.parametrize(
+    ("node", "changed"),
+    [
+        ("x/reference_generator", (True, False)),
+        ("/x/reference_generator", (True, False)),
+        ("/x/*", (True, False)),
+        ("/**/reference_generator", (True, True)),
+        ("reference_generator", (True, True)),
+        ("/**", (True, True)),
+    ],
+)
+def test_a_change_names_a_node_as_a_section_of_a_file_does(node, changed):
+    configuration = load_configuration("xy_scanner").override(node, waveform__amplitude=1e-6)
+    for one in (configuration, parse_configuration(configuration.text, "the text")):
+        values = [one.node("reference_generator", axis)["waveform.amplitude"] == 1e-6 for axis in ("/x", "/y")]
+        assert tuple(values) == changed
