@@ -1353,7 +1353,7 @@ def configuration_of(source: Source) -> Configuration:
         return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
     if isinstance(source, Recording):
         if not source.configuration:
-            raise ConfigurationError("the recording does not contain the configuration of its axis; give its parameter file")
+            raise ConfigurationError("the recording has no configuration of its axis; give the parameter file")
         return parse_configuration(source.configuration, "the configuration in the recording")
     return load_configuration(source)
 

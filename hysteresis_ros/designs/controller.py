@@ -166,8 +166,8 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
         return None
     if found.get(f"{start}ringing") and f"{start}certain_crossover_hz" not in found:
         raise ConfigurationError(
-            f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing, but {start}ringing requires it:"
-            " the highest crossover known to be safe [Hz], 0 if none is; identify again, or remove the entries"
+            f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing, but {start}ringing requires"
+            " it: the highest crossover known to be safe [Hz], 0 if none is; identify again, or remove the entries"
             f" {start}*"
         )
     try:

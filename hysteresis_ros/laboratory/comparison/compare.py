@@ -160,8 +160,8 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
     around = 8 + DRAWS
     assumptions = (
-        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}; after its recording, each plant "
-        f"also runs in {around} variants, in which gain, loop width, time constants and creep differ by up to "
+        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}; after its recording, each "
+        f"plant also runs in {around} variants, in which gain, loop width, time constants and creep differ by up to "
         f"±{100.0 * conditions.mismatch:g} %: the 8 corners of gain, loop width and time constants (the creep changes "
         f"as the gain), and {DRAWS} random ones",
         f"{_seen(conditions)}, 2 kHz, 0 … 100 V",

@@ -134,7 +134,7 @@ class DuhemParameters(Parameters):
         swing = self.alpha * (self.output_high - self.output_low)
         if np.any(g <= 0.0):
             return (
-                f"{prefix}g_{self.shape}: g is not positive in a part of {low:g} … {high:g}; loops are possibly not monotone",
+                f"{prefix}g_{self.shape}: g is not positive in a part of {low:g} … {high:g}; loops may not be monotone",
             )
         # in a loop with a width of 10 % of the range, the output is up to 5 % away from the middle
         if swing * 0.05 > g.min():
