@@ -395,7 +395,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
     nominal = result.rate(result.response.model[np.newaxis])
     noisy = f"; it contracts up to {filters.highest * rate:.4g} Hz, but noise would add more" if filters.highest else ""
     if result.unweighed:
-        noisy = f"; noise is not weighed, because the file has no waveform of {given.period:g} s (reference_generator)"
+        noisy = f"; noise is weighed only for waveforms {', '.join(PERIODIC)} of {given.period:g} s in the file"
     limited = f"|Q - G T| + {UNSEEN:g} |G|, at most {1.0 - MARGIN:g}"
     rows = [
         ("learning", given.type),

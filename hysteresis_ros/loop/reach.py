@@ -138,21 +138,34 @@ def _unlearned(axis, given: ReferenceParameters):
     else:
         return
     if other:
+        period = rate / given.waveform.frequency if given.waveform.shape.periodic else period
         yield (
             f"motion_controller: learning.period = {readable(learning.period, 's')} is not a whole number of periods "
             f"of the waveform, {readable(period / rate, 's')}: nothing is learned, and a learned correction "
             "is removed; design the learning for this waveform (hysteresis design --learning)"
         )
     elif learning.file and not (given.waveform.shape.jumps and given.approach.steps):
-        # sorted and without its mean, a path is the same for any phase and setpoint
-        learned, wanted = (np.sort(one - np.mean(one)) for one in (read_learned(learning.file).reference, path))
-        height = learned[-1] - learned[0]
-        if len(learned) == count and np.max(np.abs(wanted - learned)) > SAME:
-            yield (
-                f"motion_controller: learning.file belongs to a path of {readable(height, 'm')}, but the waveform has "
-                f"another path, of {readable(wanted[-1] - wanted[0], 'm')}: the correction of the file is removed, and "
-                "learning starts without it"
-            )
+        other_path = _other_path(read_learned(learning.file).reference, given.initial_setpoint + path)
+        if other_path:
+            after = "learning starts without it" if learning.active else "nothing is learned (learning.active is false)"
+            yield f"motion_controller: learning.file {other_path}: its correction is removed, and {after}"
+
+
+def _other_path(learned: np.ndarray, wanted: np.ndarray) -> str:
+    """Return how the path [m] of a learned correction differs from the path of the waveform; empty if it does not."""
+    if len(learned) != len(wanted) or np.max(np.abs(learned - wanted)) <= SAME:
+        return ""
+    # sorted and without its mean, a sampled path is the same for any phase, number of periods and setpoint
+    away = np.mean(learned) - np.mean(wanted)
+    if np.max(np.abs(np.sort(learned) - np.sort(wanted) - away)) <= SAME:
+        if abs(away) > SAME:
+            side = "above" if away > 0.0 else "below"
+            return f"was learned {readable(abs(away), 'm')} {side} this path (initial_setpoint, waveform.offset)"
+        return "was learned with another phase or frequency of the waveform"
+    heights = [readable(np.ptp(one), "m") for one in (learned, wanted)]
+    if heights[0] == heights[1]:
+        return "was learned with another waveform of the same height"
+    return f"was learned on a path of {heights[0]}, but the waveform has a path of {heights[1]}"
 
 
 def _bare_steps(axis, given: ReferenceParameters):

@@ -9,6 +9,7 @@
 
 """References that an axis cannot follow are refused by name before any motion: stroke, bandwidth, sample time."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -287,24 +288,32 @@ def test_a_correction_for_another_period_is_named(frequency, warned):
 
 
 @pytest.mark.parametrize(
-    ("kind", "amplitude", "offset", "words"),
+    ("changed", "words"),
     [
-        ("sine", 1e-7, 1e-6, None),
-        ("sine", 1e-7, 2e-6, None),
-        ("sine", 1.05e-7, 1e-6, "of 0.1989 µm, but the waveform has another path, of 0.2088 µm"),
-        ("triangle", 1e-7, 1e-6, "of 0.1989 µm, but the waveform has another path, of 0.1 µm"),
+        ({}, None),
+        ({"waveform__amplitude": 1.05e-7}, "on a path of 0.1989 µm, but the waveform has a path of 0.2088 µm"),
+        ({"waveform__type": "triangle"}, "on a path of 0.1989 µm, but the waveform has a path of 0.1 µm"),
+        ({"waveform__frequency": 200.0}, "with another phase or frequency of the waveform"),
+        ({"waveform__phase": math.pi}, "with another phase or frequency of the waveform"),
+        ({"waveform__offset": 1.2e-6}, "0.2 µm below this path (initial_setpoint, waveform.offset)"),
+        ({"initial_setpoint": 2e-7}, "0.2 µm below this path (initial_setpoint, waveform.offset)"),
+        ({"initial_setpoint": 2e-7, "waveform__offset": 0.8e-6}, None),
     ],
 )
-def test_a_file_that_was_learned_on_another_path_is_named(kind, amplitude, offset, words, tmp_path):
-    """Phase and setpoint do not matter: learned on a sine of 100 nm around 1 µm from another phase on."""
+@pytest.mark.parametrize("active", [True, False])
+def test_a_file_that_was_learned_on_another_path_is_named(changed, words, active, tmp_path):
+    """Learned with a sine of 100 nm around 1 µm."""
     sample_time = 1.0 / axis().plant_simulator.sample_rate
     count = round(0.01 / sample_time)
-    path = 1e-6 + 1e-7 * np.sin(2.0 * np.pi * (np.arange(count) + 7) / count)
+    path = 1e-6 + 1e-7 * np.sin(2.0 * np.pi * np.arange(count) / count)
     write_learned(tmp_path / "learned.yaml", Learned(0.01, sample_time, np.zeros(count), path))
-    changed = LEARNS | {"learning__file": str(tmp_path / "learned.yaml")}
-    found = reach_warnings(axis(reference_generator=sine(amplitude, 100.0, offset, kind), motion_controller=changed))
-    about = [text for text in found if "learning" in text]
-    assert len(about) == (words is not None) and all(words in text for text in about)
+    learns = LEARNS | {"learning__file": str(tmp_path / "learned.yaml"), "learning__active": active}
+    moved = sine(1e-7, 100.0, 1e-6) | changed
+    found = [
+        text for text in reach_warnings(axis(reference_generator=moved, motion_controller=learns)) if "learning" in text
+    ]
+    assert len(found) == (words is not None) and all(words in text for text in found)
+    assert all(("learning starts without it" in text) == active for text in found)
 
 
 def test_a_correction_for_another_line_rate_of_a_scan_is_named():
