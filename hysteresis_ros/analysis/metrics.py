@@ -609,8 +609,10 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: Saturation is reported if it lasts longer than this in total [s], or for more than this fraction of the run.
-MOMENT, SHARE = 0.1, 0.01
+#: Saturation is reported if it lasts longer than this in total [s], however long the run is.
+MOMENT = 0.1
+#: Saturation is also reported if it lasts for more than this fraction of the run, however short the run is.
+SHARE = 0.01
 
 
 def limited_text(recording: Recording) -> str:

@@ -81,8 +81,10 @@ def write_page(path, html: str) -> None:
     write_text(path, html, RecordingError)
 
 
-#: Maximum number of points of the common time axis, and of any other line; a path has up to twice as many.
-TIME_POINTS, LINE_POINTS = 12000, 4000
+#: Maximum number of points of the time axis that all charts over time share.
+TIME_POINTS = 12000
+#: Maximum number of points of any other line, except that a path has up to twice as many.
+LINE_POINTS = 4000
 
 
 def packed(values, kind: str = "<f4") -> str:

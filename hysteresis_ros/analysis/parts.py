@@ -147,10 +147,13 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
     return responses
 
 
-#: A reference repeats if it differs from itself one period later by at most the fraction EQUAL of its range; up to
-#: JITTER consecutive samples may differ more. The comparison must cover the first period and at least the fraction
-#: EVIDENCE of another one.
-EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
+#: Largest difference between a repeating reference and itself one period later, as a fraction of its range; also the
+#: largest difference between its periods, as a fraction of a period.
+EQUAL = 0.05
+#: Number of consecutive samples that may differ more, and number of samples by which the periods may always differ.
+JITTER = 2
+#: Part of another period that must follow the first period of a repeating reference, as a fraction of the period.
+EVIDENCE = 0.45
 #: Largest number of reversals in a period.
 REVERSALS = 40
 #: Mode signals from which a stop of the axis is detected.
@@ -489,10 +492,12 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: EXCESS: a span is disturbed if its median squared error exceeds that of undisturbed samples by more than this
-#: fraction. COMPARED: smallest fraction of the samples that must remain for the comparison. SHORTEST_SPAN [samples]: a
-#: voltage acts only after the delay of the axis.
-EXCESS, COMPARED, SHORTEST_SPAN = 0.1, 0.1, 4
+#: A span is disturbed if its median squared error exceeds that of undisturbed samples by more than this fraction.
+EXCESS = 0.1
+#: Smallest part of the samples with an error that must remain for the comparison, as a fraction.
+COMPARED = 0.1
+#: Shortest disturbed span [samples], because a voltage acts only after the delay of the axis.
+SHORTEST_SPAN = 4
 
 
 def disturbed(skipped, error) -> np.ndarray:

@@ -56,9 +56,12 @@ from hysteresis_ros.units import FINE
 BLOCKS = 1500
 #: Maximum number of periods at the end of a run in the column of the last periods.
 LAST = 2
-#: Kinds of parts with a column, maximum number of such columns, and the fraction of the run from which a part counts as
-#: the whole run.
-SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
+#: Kinds of parts that get a column of their own.
+SHOWN = (Kind.STEPS, Kind.SCAN, Kind.PATH)
+#: Maximum number of columns for parts; the longest parts are shown.
+PARTS = 2
+#: A part that covers at least this fraction of the run counts as the whole run, and gets no column.
+WHOLE = 0.98
 #: Figures that the page computes for the selected time span; the other figures need every sample.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),

@@ -267,8 +267,10 @@ def _finite(values) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-#: Minimum number of segments of a spectrum, and maximum number of samples in a segment.
-SEGMENTS, LONGEST_SEGMENT = 4, 2**16
+#: Minimum number of segments of a spectrum, counted without overlap, unless they would be too short.
+SEGMENTS = 4
+#: Maximum number of samples in a segment of a spectrum.
+LONGEST_SEGMENT = 2**16
 #: Minimum number of samples for a spectrum, and for a segment of it.
 LEAST_SAMPLES = 64
 #: Maximum number of points of a spectrum. A spectrum with more lines is divided into at most this many frequency

@@ -34,8 +34,10 @@ from hysteresis_ros.recordings.triggers import triggers_of
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
-#: Maximum number of bins of the map along its longer side, and of points of a path in a picture.
-BINS, PATH_POINTS = 64, 20_000
+#: Maximum number of bins of the map along its longer side.
+BINS = 64
+#: Maximum number of points of a path in a picture.
+PATH_POINTS = 20_000
 #: Number of passes in the plot of the velocities of a scan.
 SHOWN = 6
 #: Smallest span of both references [m] for a map; an axis with a smaller span holds its position.
