@@ -28,14 +28,20 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.fused import shallow_sleep
 from hysteresis_ros.loop.pacing import Lateness
 
-#: Rate of the loop [Hz], and duration of a run [s].
-RATE, SECONDS = 3e3, 0.5
-#: Rate [Hz] and duration [s] of the run that polls the clock all the time; longer than a period of throttling.
-WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
+#: Rate of the loop in the measurements [Hz].
+RATE = 3e3
+#: Duration of a run of this loop [s].
+SECONDS = 0.5
+#: Rate of the run that polls the clock all the time [Hz].
+WHOLE_RATE = 1e4
+#: Duration of the run that polls the clock all the time [s]; longer than a period of throttling.
+WHOLE_SECONDS = 1.5
 #: Largest number of cores that are measured individually.
 MOST_CORES = 4
-#: Folders of the system with the settings of the processors, and with all other settings.
-PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")
+#: Folder of the system with the settings of the processors.
+PROCESSORS = pathlib.Path("/sys/devices/system/cpu")
+#: Folder of the system with all other settings.
+PROC = pathlib.Path("/proc")
 
 NOT_MEASURED = "not measured"
 

@@ -30,8 +30,10 @@ SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85
 TRIANGLES = 1.0, 1.0e-5, 2
 #: Length of the run in lockstep [s of axis time]: only the beginning of the triangles.
 LOCKSTEP = 0.75
-#: Hold time of the last setpoint [s of axis time], and the time-out for all setpoints [s].
-HELD, PATIENCE = 0.2, 60.0
+#: Time for which the last setpoint is held [s of axis time].
+HELD = 0.2
+#: Time-out for the publication of all setpoints [s of axis time].
+PATIENCE = 60.0
 
 #: Minimum interval of progress messages in a file or pipe [s].
 SILENCE = 10.0
@@ -40,8 +42,10 @@ INTERPRETED = 2.4
 
 #: Folders of the recordings.
 WITHOUT, WITH, STEPS, PROCESSES = "without_inverse", "with_inverse", "bag", "lockstep"
-#: Colours of the runs without and with the inverse, and of skipped samples, in the figure.
-COLOURS, MISSED = ("#d1495b", "#1f3b73"), "#e08e0b"
+#: Colours of the runs without and with the inverse in the figure.
+COLOURS = ("#d1495b", "#1f3b73")
+#: Colour of skipped samples in the figure.
+MISSED = "#e08e0b"
 MICRO = 1e6
 
 

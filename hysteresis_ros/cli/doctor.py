@@ -151,12 +151,18 @@ def advice(found: dict, permitted: bool) -> list[str]:
     return lines
 
 
-#: Tested rates [Hz], and the duration of each test [s].
-RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
-#: Number of samples of a lockstep run of nodes that exchange messages: composed in one process, and as processes.
-COMPOSED, PROCESSES = 1000, 600
-#: Rate [Hz] and number of samples of their real-time run.
-MESSAGE_RATE, ANSWERED = 300.0, 300
+#: Rates of the fused loop that are tested [Hz].
+RATES = (1e3, 3e3, 1e4, 2e4, 5e4)
+#: Duration of the test of one rate [s].
+SECONDS = 0.8
+#: Number of samples of the lockstep run of nodes that exchange messages, if they are composed in one process.
+COMPOSED = 1000
+#: Number of samples of the same run if each node is a process.
+PROCESSES = 600
+#: Rate of the real-time run of nodes that exchange messages [Hz].
+MESSAGE_RATE = 300.0
+#: Number of samples of this real-time run.
+ANSWERED = 300
 #: Fraction of skipped samples above which higher rates are not tested.
 HOPELESS = 0.1
 #: Time after which no further measurement of nodes starts [s]; the first run of a version takes long, because kernels

@@ -24,8 +24,10 @@ import click
 SILENCE = 1.5
 #: Maximum interval of progress messages in files and pipes [s]; the interval doubles until it reaches this value.
 LONGEST_SILENCE = 60.0
-#: Time after which a bar is shown, and its update interval [s].
-SHORT, LOOK = 0.5, 0.1
+#: Time after which a bar is shown [s].
+SHORT = 0.5
+#: Update interval of a bar [s].
+LOOK = 0.1
 
 
 def _bar(err: bool) -> Any:

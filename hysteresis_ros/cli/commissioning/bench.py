@@ -42,8 +42,10 @@ TRIPPED = {
 }
 #: Largest fraction of the samples that may lack a measurement.
 MOST_MISSING = 0.05
-#: Signals that every stage of the commissioning needs, and further signals that only a run in closed loop has.
-JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "applied", "seen", "skipped")
+#: Signals that every stage of the commissioning needs.
+JUDGED = ("reference", "voltage", "measured")
+#: Further signals that only a run in closed loop has.
+FURTHER = ("command", "applied", "seen", "skipped")
 #: Relative difference up to which sample intervals count as equal.
 IRREGULAR = 0.01
 

@@ -49,17 +49,28 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, way, write_samples
 from hysteresis_ros.units import readable
 
-#: Fraction of the stroke that is scanned by default; numbers of periods for settling and for the evaluation.
-SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
-#: Small steps in closed loop: the levels of the first hold and of the steps, as fractions of the distance from rest to
-#: the farther end of the range; hold and rise times [s]. No step ends at rest, because hysteresis may prevent a return
-#: to it.
-FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
+#: Displacement of the scan from peak to peak, as a fraction of the stroke, unless the plan gives the displacement.
+SCANNED = 0.7
+#: Number of periods at the beginning of a scan that are only for settling.
+UNJUDGED_PERIODS = 3
+#: Number of evaluated periods at the end of a scan.
+JUDGED_PERIODS = 10
+#: Level before the first small step in closed loop, as a fraction of the distance from rest to the farther end of the
+#: range.
+FIRST_STEP = 0.1
+#: Levels after each small step, as fractions of the same distance; none of them is at rest, because hysteresis may
+#: prevent a return to it.
+STEPS = (0.2, 0.3, 0.2)
+#: Duration of each hold in the small steps and around the scan, and of the slow ramps from and to rest [s].
+STEP_HOLD = 0.5
+#: Duration of the transition to the next level in a small step [s].
+STEP_WAY = 0.05
 #: Evaluated part of each hold: this fraction at its end.
 JUDGED_PART = 0.2
-#: Largest error at the end of a small step, relative to the predicted error; this much, as a fraction of the step, is
-#: always allowed.
-LEFT, RINGING = 6.0, 0.05
+#: Largest RMS error at the end of a small step, as a multiple of the predicted RMS error.
+LEFT = 6.0
+#: RMS error at the end of a small step that is always allowed, as a fraction of the step.
+RINGING = 0.05
 #: Largest error of the scan, relative to the predicted error.
 ERROR_AS_PREDICTED = 1.5
 
@@ -416,8 +427,12 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     )
 
 
-#: Largest number of learned periods, their longest total time [s], and their smallest number, which takes precedence.
-MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
+#: Largest number of learned periods.
+MOST_PERIODS = 30
+#: Longest total time of the learned periods [s], unless FEWEST_PERIODS periods take longer.
+LONGEST_LEARNING = 20.0
+#: Smallest number of learned periods, even if they take longer than LONGEST_LEARNING.
+FEWEST_PERIODS = 10
 #: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
 #: Designed kind of learning.

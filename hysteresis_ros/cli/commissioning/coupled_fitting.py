@@ -39,9 +39,11 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
-#: Largest error of the model on the held-out data without the error of its gain, as a fraction of the motion; largest
-#: ratio between the gains of model and data at which a design keeps its margins.
-UNFIT, STEEPEST = 0.2, 2.0
+#: Largest error of the model on the held-out data without the error of its gain, as a fraction of the motion.
+UNFIT = 0.2
+#: The gains of model and data must differ by less than this factor, in either direction, so that a design keeps its
+#: margins.
+STEEPEST = 2.0
 #: Largest error of the hysteresis model on the recorded loops, as a fraction of the stroke.
 LOOSE = 0.05
 

@@ -40,8 +40,10 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, there_and_back
 from hysteresis_ros.units import readable
 
-#: Small multisine of an axis: samples per period, and number of periods; the first period is only for settling.
-SMALL_PERIOD, SMALL_PERIODS = 8000, 5
+#: Length of a period of the small multisine of an axis [samples].
+SMALL_PERIOD = 8000
+#: Number of periods of the small multisine of an axis; the first one is only for settling.
+SMALL_PERIODS = 5
 #: An actuator counts as miswired if another sensor moves this many times as far as the actuator's own sensor.
 MISTAKEN = 2.0
 #: Largest predicted motion about its mean during the identification multisine, as a fraction of the stroke.

@@ -38,9 +38,10 @@ from hysteresis_ros.units import readable
 
 #: Number of samples per cycle for the identification of the hysteresis; more samples add no information.
 SAMPLES_A_CYCLE = 100
-#: Controllers are also checked with other models: their largest number, and their largest held-out error, relative to
-#: that of the best model.
-OTHERS, AS_LIKELY = 2, 3.0
+#: Largest number of other models with which a controller is also checked, unless these models are given.
+OTHERS = 2
+#: The held-out error of such a model must be less than this multiple of the error of the chosen model.
+AS_LIKELY = 3.0
 #: Other models with which controllers are checked if no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
 #: Stages that move in open loop, before the design.

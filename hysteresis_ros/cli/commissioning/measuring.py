@@ -25,14 +25,24 @@ from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, r
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Duration of a small step, and of the holds before and after it [s]; duration of the creep step [s], and hold after
-#: the step back, as a fraction of ``creep_duration``.
-STEP_WAY, STEP_HOLD = 0.05, 0.75
-CREEP_WAY, BACK_PART = 0.1, 0.25
-#: Number of periods of the multisine, and their length [s]; the first period is for settling.
-PERIODS, PERIOD = 5, 2.0
-#: Number of cycles: over the whole range, with decaying amplitude, and until the amplitude has decayed to 1/e.
-WHOLE, DECAYING, DECAY = 2, 14, 3.5
+#: Duration of the transition of a small step [s].
+STEP_WAY = 0.05
+#: Duration of each hold before and after a small step [s].
+STEP_HOLD = 0.75
+#: Duration of the transition of the creep step, and of the step back [s].
+CREEP_WAY = 0.1
+#: Duration of the hold after the step back, as a fraction of ``creep_duration``.
+BACK_PART = 0.25
+#: Number of periods of the multisine; the first one is for settling.
+PERIODS = 5
+#: Length of a period of the multisine [s].
+PERIOD = 2.0
+#: Number of cycles over the whole range.
+WHOLE = 2
+#: Number of cycles with decaying amplitude, after those over the whole range.
+DECAYING = 14
+#: Number of cycles in which the decaying amplitude falls to 1/e.
+DECAY = 3.5
 #: Size of the creep step, as a fraction of the distance from the safe voltage to the farther end of the range.
 CREEP_PART = 0.8
 
@@ -87,20 +97,28 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
 
 
-#: Largest sensor noise, as a fraction of the stroke, and largest zero offset, as a multiple of the stroke.
-NOISY, FAR_AWAY = 0.02, 20.0
-#: Smallest movement that counts as a response, relative to the noise and to the expected movement.
-SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest factor by which gain and stroke may differ from the expected values, in either direction. Largest RMS motion
-#: that may remain after a small step, as a fraction of the response to the step.
-EXPECTED, RINGING = 3.0, 0.25
+#: Largest RMS noise of the sensor at rest, as a fraction of the stroke.
+NOISY = 0.02
+#: Largest magnitude of the reading at rest, as a multiple of the stroke.
+FAR_AWAY = 20.0
+#: Smallest movement that counts as a response, as a multiple of the RMS noise; RMS motion up to this size after a step
+#: is attributed to noise.
+SEEN = 6.0
+#: Smallest movement that counts as a response, as a fraction of the expected movement.
+LEAST_MOVEMENT = 0.02
+#: The measured gain or stroke must differ from the expected one by less than this factor, in either direction.
+EXPECTED = 3.0
+#: Largest RMS motion that may remain after a small step, as a fraction of the response to the step.
+RINGING = 0.25
 #: Relative uncertainty of a resonance fit below which averaging stops.
 CERTAIN = 0.02
 #: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
-#: Delay and gain are determined from at least this number of the lowest frequencies of a response; the gain from the
-#: lines up to this fraction of the resonance frequency.
-LOW_LINES, FAR_BELOW = 20, 0.1
+#: Smallest number of the lowest frequencies of a response from which its gain and its delay are determined.
+LOW_LINES = 20
+#: The gain is determined from the frequencies below this fraction of the frequency of the highest peak, if they are
+#: enough.
+FAR_BELOW = 0.1
 #: Largest fraction of the samples that lie within the noise of the extreme reading; above it, the sensor counts as
 #: clipped.
 CLIPPED = 0.03
