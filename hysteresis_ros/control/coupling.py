@@ -34,8 +34,10 @@ GRID = 1500
 SWEEPS = 20
 #: Number of steps of the search for the peak between two points of the grid.
 STEPS = 40
-#: Relative accuracy of the scalings: during the search for the worst frequency, and at this frequency.
-SOUGHT, KEPT = 1e-4, 1e-9
+#: Relative accuracy of the scalings during the search for the worst frequency.
+SOUGHT = 1e-4
+#: Relative accuracy of the scalings at the worst frequency.
+KEPT = 1e-9
 
 
 def lost_direction(gain, names: Sequence[str]) -> str:

@@ -82,8 +82,10 @@ FARTHEST = 1.155
 #: Smallest angle of zeros that are left out (a fifth of the sample rate); zeros at lower angles are needed for
 #: tracking.
 LOWEST_ANGLE = 0.4 * math.pi
-#: Range of p on either side [samples], and the fraction to which p decays within this range.
-REACH, LEFT = 10, 1e-3
+#: Number of weights of p on either side of the middle one [samples].
+REACH = 10
+#: The magnitudes of the weights of p that are left out on both sides must have a sum below this value.
+LEFT = 1e-3
 #: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
 #: Number of frequencies at which p is computed, and the error of f that limits ``known_to``.
@@ -181,8 +183,10 @@ SMALLEST_ANSWER = 1e-11
 CIRCLE_MARGIN = 1e-6
 #: Largest error of the command, as a fraction of the reference's span, with which a preview counts as long enough.
 GOOD_ENOUGH = 1e-3
-#: Largest error that a design accepts if no preview is requested, and longest preview of such a design [samples].
-DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
+#: Largest inversion error that a design accepts if no preview is requested.
+DESIGNED_ERROR = 1e-4
+#: Longest preview of a design if no preview is requested [samples].
+LONGEST_PREVIEW = 64
 #: Weights of future references are computed until they have decayed by this number of powers of ten ...
 DECADES = 18.0
 #: ... or for this number of samples: a zero that needs more samples is too near to the circle for any preview.

@@ -48,8 +48,10 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.files import BoundsError, read_text, read_yaml, write_text
 from hysteresis_ros.models.block import Block, called, kernel
 
-#: Maximum number of taps of a filter, and the longest period [samples].
-MOST_TAPS, LONGEST = 256, 100_000
+#: Maximum number of taps of a filter.
+MOST_TAPS = 256
+#: Longest period, and largest lead of a filter [samples].
+LONGEST = 100_000
 #: Tolerance for a period that is a whole number of samples [samples].
 WHOLE = 1e-6
 
@@ -312,9 +314,11 @@ RINGS = 10
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
-#: LIMITED is the entry of a sample with a saturated command in the ring of errors. RELIEF is the fraction by which the
-#: correction near such samples decreases per period.
-LIMITED, RELIEF = math.inf, 0.25
+#: Entry of a sample with a saturated command in the ring of errors.
+LIMITED = math.inf
+#: Decrease of the correction near samples with saturated commands in each period, as a fraction of the correction
+#: multiplied by the learning gain.
+RELIEF = 0.25
 
 
 @kernel

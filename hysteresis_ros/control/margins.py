@@ -115,9 +115,13 @@ def _parts(commands, displacements) -> np.ndarray:
 #: Number of frequencies on each scale of the grid (linear, logarithmic), and number of frequencies around each pole.
 GRID = 3000
 AROUND_POLE = 61
-#: An interval with a crossing is divided into PARTS parts. This is repeated ROUNDS times, which is exact to rounding,
-#: or in a search SEARCHED_ROUNDS times, which is exact to 1e-7 of the distance between two points of the grid.
-PARTS, ROUNDS, SEARCHED_ROUNDS = 64, 9, 4
+#: Number of equal parts into which an interval with a crossing is divided each time.
+PARTS = 64
+#: Number of times that such an interval is divided, which is exact to rounding.
+ROUNDS = 9
+#: Number of times that it is divided in a search, which is exact to 1e-7 of the distance between two points of the
+#: grid.
+SEARCHED_ROUNDS = 4
 #: Magnitude of −3 dB.
 HALF_POWER = np.sqrt(0.5)
 #: Lowest angle of the grid.

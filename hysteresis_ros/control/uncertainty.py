@@ -273,8 +273,12 @@ UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
 NEAREST = 0.12
 #: Required distance of the loop transfer function from −1, for every plant within the uncertainty.
 KEPT = 0.2
-#: Number of points of the grid, its decades below half the sample rate, and number of points around each pole.
-POINTS, DECADES, AROUND = 500, 5.0, 41
+#: Number of points of the grid.
+POINTS = 500
+#: Number of decades that the grid covers below half the sample rate.
+DECADES = 5.0
+#: Number of further points of the grid around each pole.
+AROUND = 41
 #: Number of gains that are tried, from the model's gain to the largest gain.
 GAINS = 9
 #: Number of steps of the search for the fastest loop, over the same decades.
