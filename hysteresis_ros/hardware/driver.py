@@ -351,9 +351,12 @@ class HardwareDriver:
 
 #: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, fraction of them that must be fast enough at the highest rate, and fraction of the sample
-#: period that a driver may use.
-TRIALS, SURE, SHARE = 50, 0.9, 0.5
+#: Number of trial samples.
+TRIALS = 50
+#: Fraction of the trial samples that must be fast enough at the highest rate.
+SURE = 0.9
+#: Largest fraction of the sample period that a driver may use at the highest rate.
+SHARE = 0.5
 
 
 def claim(path: pathlib.Path, name: str) -> int:

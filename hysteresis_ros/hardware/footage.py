@@ -25,9 +25,10 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Requirements for a scale: minimum ratio of RMS motion to the standard error of the residual, and minimum number of
-#: positions.
-CLEAR, LEAST_PLACES = 20.0, 3
+#: For a scale, the RMS motion must exceed this multiple of the standard error of the residual.
+CLEAR = 20.0
+#: Smallest number of frames with a position and a known displacement for a scale.
+LEAST_PLACES = 3
 #: Minimum distance between the two edges of a target [px].
 APART = 12
 

@@ -114,16 +114,20 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     return levels.reshape(rows, columns, channels).astype(np.float32) @ weights
 
 
-#: Rows per block in the search for the edge, and distance of the two compared columns [px].
-BLOCK, LAG = 16, 4
+#: Number of rows per block in the search for the edge.
+BLOCK = 16
+#: Distance of the two columns that are compared in the search for the edge [px].
+LAG = 4
 #: Largest distance of a block from the line through all blocks [px].
 STRAY = 6.0
 #: Number of columns at each end of a window; their mean is the grey level of that side.
 PLATEAU = 4
 #: Fraction of the rows that must show the edge.
 LEAST_ROWS = 0.5
-#: Distance from which a row is an outlier [standard deviations], and number of iterations.
-OUTLIER, EDGE_LOOKS = 4.0, 3
+#: Distance from the line beyond which a row is an outlier [standard deviations].
+OUTLIER = 4.0
+#: Largest number of iterations of the fit of the line.
+EDGE_LOOKS = 3
 #: Bins per pixel of the profile across the edge.
 BINS = 4
 #: In a step blurred by a Gaussian, the points at 16 % and 84 % of the height are two standard deviations apart.
@@ -269,8 +273,10 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
     return 0.5 * (places[1] - places[0])
 
 
-#: Highest fitted frequency, and frequency above which the content counts as fine details [1/px].
-HIGHEST, FINE = 0.2, 0.08
+#: Frequencies are fitted if they are below this value along both directions of the picture [1/px].
+HIGHEST = 0.2
+#: Frequency above which the content counts as fine details [1/px].
+FINE = 0.08
 #: Maximum number of searches for the shift by whole pixels.
 PATTERN_LOOKS = 6
 #: A frame with less than this fraction of the fine details of the first frame counts as blurred.

@@ -115,17 +115,22 @@ def meaning(code: int) -> str:
     return f"error {code}: {MEANINGS.get(code, 'see ERR? in the manual of the controller')}"
 
 
-#: End of an answer, and end of a line that is followed by another line.
-END, MORE = b"\n", b" \n"
+#: End of an answer.
+END = b"\n"
+#: End of a line that is followed by another line of the same answer.
+MORE = b" \n"
 #: Maximum number of bytes per read.
 CHUNK = 65536
-#: Maximum length of a line [bytes], and maximum number of lines of an answer; a longer answer is a fault, or comes from
-#: another kind of device.
-LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
+#: More bytes than this without the end of a line are a fault, or come from another kind of device.
+LONGEST_LINE = 1 << 20
+#: An answer that continues after more than this number of lines is a fault, or comes from another kind of device.
+MOST_LINES = 1 << 20
 #: Maximum number of bytes of an answer that a message quotes.
 SHOWN = 60
-#: Query of the last error, and pattern of its answer, which no other answer in a sample matches.
-ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
+#: Query of the last error.
+ERROR = "ERR?"
+#: Pattern of the answer to the query of the last error, which no other answer in a sample matches.
+CODE = re.compile(r"-?[0-9]{1,9}")
 
 
 def _names(text: str) -> list[str]:
@@ -421,8 +426,10 @@ class GcsLink:
 
 #: Number of stored recent voltages; a check allows any output between the lowest and the highest of them.
 RECENT = 4
-#: Points of a wave per command, and polling interval for the end of the wave [s].
-POINTS, PATIENCE = 40, 0.02
+#: Maximum number of points of a wave in one command.
+POINTS = 40
+#: Polling interval for the end of the wave [s].
+PATIENCE = 0.02
 #: Number of attempts to make a controller safe; every attempt after the first uses a new connection.
 ATTEMPTS = 3
 #: Largest allowed variation of the steps of a grid, relative to the largest position.
