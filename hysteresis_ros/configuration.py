@@ -50,8 +50,10 @@ TYPE_NAMES = {
 }
 
 
-#: Maximum length of an array [elements], and of a text [characters].
-MOST_ITEMS, LONGEST_TEXT = 100_000, 4096
+#: Maximum length of an array [elements].
+MOST_ITEMS = 100_000
+#: Maximum length of a text [characters].
+LONGEST_TEXT = 4096
 
 #: Parameter types with tuples as values.
 ARRAY_TYPES = (tuple[float, ...], tuple[str, ...])

@@ -15,8 +15,10 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-#: Maximum length of a value in a message, and of a message [characters].
-LONGEST, LONGEST_MESSAGE = 300, 4000
+#: A value in a message is shortened if its text is longer than this [characters].
+LONGEST = 300
+#: A message is shortened if it is longer than this [characters].
+LONGEST_MESSAGE = 4000
 
 
 class HysteresisError(ValueError):

@@ -246,8 +246,10 @@ def _follow(sentinel: int) -> None:
     os._exit(1)
 
 
-#: Time-out for an answer of the scheduler, and for a new worker after the last one is lost [s].
-CONNECT, PATIENCE = 10.0, 60.0
+#: Time-out for the connection to the scheduler, and for closing it [s].
+CONNECT = 10.0
+#: Longest time without any worker [s].
+PATIENCE = 60.0
 #: Number of lost workers after which their common job counts as the cause.
 LOSSES = 10
 EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'

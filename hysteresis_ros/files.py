@@ -59,8 +59,10 @@ def write_text(path, text: str, error: type[HysteresisError]) -> None:
         beside.write_text(text, encoding="utf-8")
 
 
-#: An archive may always unpack to this size [bytes], or to this multiple of its own size.
-SMALL, RATIO = 1 << 26, 100
+#: Unpacked size that is always allowed for an archive [bytes].
+SMALL = 1 << 26
+#: Largest ratio of the unpacked size of a larger archive to its own size.
+RATIO = 100
 #: NumPy kinds of numbers and texts.
 KINDS = "biufcUS"
 
@@ -158,8 +160,12 @@ def _sound(array: np.ndarray) -> np.ndarray:
     return array
 
 
-#: Limits of a text: size [bytes], number of values, and nesting depth.
-LARGEST, MOST_VALUES, DEEPEST = 16 * 2**20, 50_000, 50
+#: Maximum size of a text [bytes in a file, characters in memory].
+LARGEST = 16 * 2**20
+#: Maximum number of values in a text, unless the caller gives another number.
+MOST_VALUES = 50_000
+#: Maximum nesting depth of the mappings and lists in a text.
+DEEPEST = 50
 
 #: libyaml, which is six times as fast, if PyYAML was built with it.
 FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

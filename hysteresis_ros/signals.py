@@ -280,8 +280,10 @@ MOTOR_ROW = len(SIGNALS)
 #: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is not 0).
 TRIPPED_FRAME = "tripped"
 
-#: Entries of the change log without a user action: initial parameters of a node, and end of a run.
-CONFIGURED, ENDED = "configure", "end"
+#: Action in the change log, without a user action, that contains the initial parameters of a node.
+CONFIGURED = "configure"
+#: Action in the change log, without a user action, at the end of a run.
+ENDED = "end"
 
 #: SI unit of each signal by name, and of the time.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
