@@ -145,8 +145,10 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == full.rsplit("/", 1)[-1] and matches(pattern, full)
 
 
-#: Maximum number of halvings of the bandwidth, and number of bisections between the last two bandwidths.
-HALVINGS, RAISED = 18, 3
+#: Maximum number of halvings of the bandwidth.
+HALVINGS = 18
+#: Number of bisections between the last two bandwidths.
+RAISED = 3
 #: Tried ratios of input noise variance to measurement noise variance; a smaller ratio gives a slower observer.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
 #: Response uncertainty of a model without an identification: the model is assumed to be exact.
@@ -203,12 +205,17 @@ def is_certain(loop: tuple[StateSpace, StateSpace], response: ResponseUncertaint
     return judge(controller, plant.scaled(response.gain), sample_time, with_bandwidth=False).meets()
 
 
-#: Tried corner frequencies of a roll-off: number per decade, and number of decades below half the sample rate. Number
-#: of steps of the search for the gain at each corner.
-CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
-#: A roll-off is used if it raises the bandwidth, or the integral gain of an uncertain PID, by at least the factor
-#: WORTH. A requested bandwidth is reached if the achieved bandwidth is at least the fraction REACHED of it.
-WORTH, REACHED = 1.1, 0.97
+#: Number of tried corner frequencies of a roll-off for each of the CORNER_DECADES decades.
+CORNERS = 8
+#: The lowest tried corner frequency is this number of decades below half the sample rate.
+CORNER_DECADES = 3.5
+#: Number of steps of the search for the gain at each corner frequency.
+GAIN_STEPS = 12
+#: A roll-off is used if it raises the bandwidth by at least this factor, or the integral gain of an uncertain PID by
+#: more than this factor.
+WORTH = 1.1
+#: A requested bandwidth is reached if the achieved bandwidth is at least this fraction of it.
+REACHED = 0.97
 
 
 def rolled_off_design(

@@ -60,16 +60,21 @@ from hysteresis_ros.models.linear_algebra import product
 #: Response uncertainty of each axis, by the name of the axis; without an entry, the model of the axis counts as exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
-#: SHARES: tried fractions of the bandwidth that an axis reaches alone, if the loops of the other axes do not permit
-#: this bandwidth. With a damping, which is meant for a fast law, only the first AROUND fractions are tried. PEAKS:
-#: largest M_s of the weaker dampings that are tried.
-SHARES, AROUND, PEAKS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), 3, (1.7, 1.5, 1.3)
+#: Tried fractions of the bandwidth that an axis reaches alone, if the loops of the other axes do not permit this
+#: bandwidth.
+SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+#: Number of these fractions, from the first one on, that are tried with a damping, which is meant for a fast law.
+AROUND = 3
+#: Largest M_s of each of the weaker dampings that are tried.
+PEAKS = (1.7, 1.5, 1.3)
 #: Bandwidth of the slow axis of a raster, as a multiple of the larger of the line rate and the bandwidth of its path.
 CALM = 10.0
 #: Table entry of a loop that is unstable.
 UNSTABLE = "none: the loop is unstable"
-#: Frequencies of the printed coupling, and of the singular values, as fractions of the sample rate.
-PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
+#: Frequencies of the printed coupling, as fractions of the sample rate.
+PRINTED = (1e-3, 1e-2)
+#: Frequencies of the singular values, as fractions of the sample rate.
+GRID = np.geomspace(1e-4, 0.5, 2000)
 
 
 def stage_lines(parameters: StageParameters, more: Iterable[tuple[str, str]] = ()) -> list[str]:

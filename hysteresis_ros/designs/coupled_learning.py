@@ -72,8 +72,11 @@ FEWEST = 3
 MOST_MISSING = 0.01
 #: Highest frequency that is learned, as a fraction of the sample rate.
 HIGHEST = 0.45
-#: Modulus below which a pole counts as a delay, and distance below which poles count as equal.
-DELAYING, EQUAL = 0.02, 1e-8
+#: Modulus below which a pole counts as a delay.
+DELAYING = 0.02
+#: Distance below which poles count as equal; poles are left out if the products of their eigenvectors have a condition
+#: number of at least the reciprocal of this distance.
+EQUAL = 1e-8
 #: Number of angles that are computed at once.
 BLOCK = 4096
 

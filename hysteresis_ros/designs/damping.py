@@ -57,13 +57,17 @@ RESONANCE = 0.1
 #: Number of grid points in each dimension, for 1, 2 or 3 dimensions; number of refinements.
 POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
-#: Number of grid frequencies on the linear and on the logarithmic scale (each), and around each pole of the plants.
-GRID, AROUND = 120, 41
+#: Number of grid frequencies on the logarithmic scale, and also on the linear scale.
+GRID = 120
+#: Number of grid frequencies around each pole of the plants.
+AROUND = 41
 #: The first test of a filter uses only every FEW-th frequency of the grid.
 FEW = 6
-#: Smallest damping ratio of any mode of the inner loop. A smaller ratio is allowed if it is at least MUCH times the
-#: damping ratio of the plant's mode.
-WELL, MUCH = 0.02, 5.0
+#: Damping ratio that suffices for every mode of the inner loop.
+WELL = 0.02
+#: A mode with a smaller damping ratio is allowed if its damping ratio is at least this multiple of that of the plant's
+#: mode.
+MUCH = 5.0
 #: Allowance for rounded poles: a filter is rejected early only if this factor times its speed does not exceed the best
 #: speed so far.
 CLEARLY = 1.001

@@ -101,8 +101,10 @@ def design_gains(
 COARSE = 0.99
 #: Maximum number of plants that are added to the search.
 ROUNDS = 8
-#: Number of plants per parallel job, and approximate computing time of the margins on one plant [s].
-TOGETHER, SECONDS = 50, 2e-2
+#: Maximum number of plants per parallel job.
+TOGETHER = 50
+#: Approximate computing time of the margins on one plant [s].
+SECONDS = 2e-2
 
 
 @dataclass(frozen=True, eq=False)

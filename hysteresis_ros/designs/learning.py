@@ -52,19 +52,28 @@ from hysteresis_ros.models.actuator import PreloadParameters
 #: Default uncertainty of the plants: gain 5 %; all times 8 %, of which 3 % are due to the identification; residual
 #: hysteresis after the inverse; and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and largest saturation (command minus achieved command) at which learning continues, as fractions
-#: of the stroke.
-MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Initial learning gain; constant c of the later gain c/n in period n; and lower limit of the gain.
-GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Number of learning periods after which the error is predicted; periods of the runs without learning that give the
-#: repeating error.
-LEARNED, RUNS = 20, (6, 24, 96)
+#: Largest correction, as a fraction of the stroke, unless one is requested.
+MAXIMUM = 0.1
+#: Largest saturation (command minus achieved command) at which learning continues, as a fraction of the stroke.
+SHORTFALL = 5e-3
+#: Initial learning gain.
+GAIN = 0.7
+#: Constant c of the gain c/n in period n, which is used when it is below the initial gain.
+AVERAGING = 4.0
+#: Lower limit of the learning gain.
+LEAST_GAIN = 0.05
+#: Number of learning periods after which the error is predicted.
+LEARNED = 20
+#: Numbers of periods of the runs without learning that give the repeating error; the first run that settles is used.
+RUNS = (6, 24, 96)
 #: Maximum number of samples of these runs, except the first.
 LONGEST_RUN = 1_000_000
-#: Minimum and maximum number of samples of an impulse response, and the fraction of its peak that may remain at its
-#: end.
-SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
+#: Minimum number of samples of an impulse response.
+SHORTEST = 2**12
+#: Maximum number of samples of an impulse response.
+LONGEST = 2**17
+#: Largest value that may remain in the last sixteenth of an impulse response, as a fraction of its peak.
+LEFT = 1e-6
 #: Maximum number of frequencies.
 MOST = 2**13
 #: A closed loop has settled when at most this fraction of its response remains.
@@ -94,8 +103,10 @@ class LearningRequest:
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the error must contract.
 
 
-#: Command-line options of a design of learning, except the ranges; and those that only this design has.
-TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
+#: Command-line options of a design of learning, except the ranges.
+TAKES = ("learning", "period", "bandwidth", "maximum")
+#: Command-line options that only a design of learning has, except the ranges.
+OWN = ("learning", "period", "maximum")
 
 
 def asked(options: dict) -> LearningRequest | None:

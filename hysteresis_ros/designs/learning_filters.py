@@ -48,19 +48,30 @@ MARGIN = 0.1
 UNSEEN = 0.15
 #: Number of taps of Q on each side of the middle tap, if the period is long enough.
 HALF = 64
-#: Bandwidths that are tried, as fractions of the sample rate: highest, lowest, and their number.
-HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
-#: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
-FALL, LEAST_FALL = 0.15, 0.02
+#: Highest tried bandwidth, as a fraction of the sample rate.
+HIGHEST = 0.45
+#: Lowest tried bandwidth, as a fraction of the sample rate, unless half of the frequency of the period is higher.
+LOWEST = 1e-3
+#: Number of tried bandwidths.
+STEPS = 60
+#: Half of the width of the roll-off of Q, as a fraction of the bandwidth.
+FALL = 0.15
+#: Minimum of half of the width of the roll-off of Q, as a fraction of the sample rate, but at most the bandwidth
+#: itself.
+LEAST_FALL = 0.02
 #: In the notches of Q, the contraction factor of the untruncated filters is this far below 1; truncation uses up part
 #: of it, so it is larger than MARGIN.
 DIP = 0.15
 #: Number of iterations of Lawson's algorithm.
 ITERATIONS = 60
-#: Norm-optimal design: μ, and the exponent with which λ rises with the frequency.
-CHANGE, STEEPNESS = 0.2, 16
-#: Repetitive design: gains that are tried, and the longest phase lead [samples].
-GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
+#: μ of the norm-optimal design.
+CHANGE = 0.2
+#: Exponent with which λ of the norm-optimal design rises with the frequency.
+STEEPNESS = 16
+#: Tried gains of the repetitive design.
+GAINS = (0.9, 0.7, 0.5, 0.3)
+#: Longest tried phase lead of the repetitive design [samples].
+LONGEST_LEAD = 24
 #: Number of frequencies for the choice of gain and phase lead.
 COARSE = 400
 

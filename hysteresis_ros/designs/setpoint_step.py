@@ -26,10 +26,14 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Samples before the step, and minimum number of samples after the arrival of the reference and the preview.
-BEFORE, AFTER = 20, 400
-#: Simulated time after the arrival [s], if longer than AFTER; and maximum number of samples of the run.
-SETTLING, MOST = 0.2, 400_000
+#: Number of samples before the step.
+BEFORE = 20
+#: Minimum number of samples after the arrival of the reference, in addition to the preview.
+AFTER = 400
+#: Simulated time after the arrival [s], if it is longer than AFTER samples.
+SETTLING = 0.2
+#: Maximum number of samples of the run.
+MOST = 400_000
 
 
 @dataclass(frozen=True)

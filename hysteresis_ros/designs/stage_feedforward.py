@@ -51,17 +51,26 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate. While
-#: no preview is long enough for the band, the band is multiplied by NARROWER; at most STEPS bands are tried.
-BAND, NARROWER, STEPS = 0.1, 0.8, 10
-#: Largest allowed coupling up to the band, and step by which a design increases the preview [samples].
-REMAINING, STEP = 1e-3, 2
+#: Default band, as a fraction of the sample rate; the model of a stage is rarely known near half the sample rate.
+BAND = 0.1
+#: The default band is multiplied by this factor while no preview is long enough for it.
+NARROWER = 0.8
+#: Maximum number of bands that are tried.
+STEPS = 10
+#: Largest allowed coupling up to the band, as a fraction of the reference of the other axis.
+REMAINING = 1e-3
+#: Step by which a design increases the preview [samples].
+STEP = 2
 #: Largest static coupling that is left to the feedback.
 AT_REST = 0.01
-#: Frequencies of the design, and frequency below which the weight is constant, as fractions of the sample rate.
-GRID, FLAT = np.linspace(0.0005, 0.5, 1000), 0.002
-#: Weights of X, relative to the weight at the band: beyond twice the band, and between the band and twice the band.
-BEYOND, BETWEEN = 0.01, 1e-3
+#: Frequencies of the design, as fractions of the sample rate.
+GRID = np.linspace(0.0005, 0.5, 1000)
+#: Frequency below which the weight is constant, as a fraction of the sample rate; the band must be above it.
+FLAT = 0.002
+#: Weight of X beyond twice the band, relative to the weight at the band.
+BEYOND = 0.01
+#: Weight of X between the band and twice the band, relative to the weight at the band.
+BETWEEN = 1e-3
 #: Control laws with which the axes follow their references; with other laws, each axis follows its own model.
 LAWS = ("pid", "open_loop")
 

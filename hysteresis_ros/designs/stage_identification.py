@@ -83,11 +83,14 @@ from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
 from hysteresis_ros.units import readable
 
-#: Tried orders of a structure, and largest tried delay before it [samples].
-ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
-#: Tried orders of the model of an axis. A lower order suffices if its error is at most AXIS_ENOUGH times the smallest
-#: error.
-AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
+#: Tried orders of a structure.
+ORDERS = (2, 4, 6, 8, 12, 16)
+#: Largest tried delay before a structure [samples].
+MOST_DELAY = 3
+#: Tried orders of the model of an axis.
+AXIS_ORDERS = (2, 4, 6)
+#: A lower order of the model of an axis suffices if its error is at most this multiple of the smallest error.
+AXIS_ENOUGH = 1.2
 #: An axis is modelled as a pure delay if the RMS error of this fit, as a fraction of the gain, is at most this.
 PURE_DELAY = 1e-3
 #: A structure is refined only if its error before the refinement is at most this factor times the smallest error.
@@ -95,15 +98,19 @@ WORTH = 10.0
 #: A lower order of the structure suffices if its error is at most this factor times the smallest error, because further
 #: states would only describe creep and hysteresis of the actuators.
 STRUCTURE_ENOUGH = 1.1
-#: Number of refinement steps on the response, for each tried order and for the chosen order.
-STEPS, LAST_STEPS = 15, 100
+#: Number of refinement steps on the response for each tried order.
+STEPS = 15
+#: Number of refinement steps on the response for the chosen order.
+LAST_STEPS = 100
 #: Largest modulus of a pole of a structure.
 RADIUS = 1.0 - 1e-5
 #: Real poles slower than this multiple of the lowest line count as creep and are not part of the structure.
 CREEPING = 10.0
-#: A slow loop is attributed to the measured response if its relative uncertainty exceeds UNSURE at a frequency up to
-#: NEAR times the bandwidth.
-UNSURE, NEAR = 0.5, 2.0
+#: A slow loop is attributed to the measured response if the relative uncertainty of the response exceeds this value
+#: near the bandwidth.
+UNSURE = 0.5
+#: Highest frequency at which the uncertainty counts for this, as a multiple of the bandwidth.
+NEAR = 2.0
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
 # /identification is not a node: it states where the numbers come from.

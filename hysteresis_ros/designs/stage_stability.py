@@ -38,8 +38,12 @@ from hysteresis_ros.references.scan import rounded_down
 #: If the stage's gain at rest differs from the gains of the axis models by more than this fraction, the decoupling is
 #: the remedy, instead of a lower bandwidth.
 WRONG_GAIN = 0.5
-#: Search for the largest stable gain: factor per step, number of steps, and fraction of the found gain that is used.
-STEP, STEPS, USED = 0.95, 150, 0.5
+#: Factor by which the gain decreases in each step of the search for the largest stable gain.
+STEP = 0.95
+#: The search for the largest stable gain takes fewer steps than this number.
+STEPS = 150
+#: Fraction of the largest stable gain that the proposed bandwidth uses.
+USED = 0.5
 #: Resonances of a structure are varied if the condition number of its eigenvectors is below this.
 DEFECTIVE = 1e8
 
