@@ -57,10 +57,12 @@ ADVANCE = 1.1
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
 #: Initial weight of the plays.
 FIRST_WEIGHT = 1e-3
-#: Number of refinement steps on the frequency response; number of steps of each early search stage with plays, and
-#: number of realisations of each level that such a stage uses (with half a period each).
+#: Number of refinement steps on the frequency response.
 RESPONSE_STEPS = 30
-EARLY_STEPS, EARLY_REALISATIONS = 6, 2
+#: Number of steps of each early search stage with plays.
+EARLY_STEPS = 6
+#: Number of realisations of each level that an early search stage uses, with half a period each.
+EARLY_REALISATIONS = 2
 #: The search ends after this number of consecutive steps without a smaller error on the held-out realisations.
 PATIENCE = 3
 #: Allowed weightings of the errors.

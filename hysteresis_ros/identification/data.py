@@ -125,8 +125,10 @@ CLIPPED_RUN = 3
 CLIPPED_POPULATION = 8.0
 #: A drift above this fraction of the stroke, over the whole data, causes a warning.
 DRIFT_SHARE = 0.01
-#: Number of plays and largest number of samples in the fit that distinguishes drift from hysteresis.
-TRIED_PLAYS, TRIED_SAMPLES = 10, 4000
+#: Number of plays in the fit that distinguishes drift from hysteresis.
+TRIED_PLAYS = 10
+#: Largest number of samples in the fit that distinguishes drift from hysteresis.
+TRIED_SAMPLES = 4000
 #: The drift is known only if input, plays and size of the loops leave at least this fraction of a straight line in time
 #: unexplained.
 LEAST_LEFT = 0.3

@@ -67,18 +67,23 @@ from hysteresis_ros.recordings.loops import turning_points
 LENGTHS = 8
 #: Number of folds. Segments are assigned to the folds in turn, so that an event affects several folds.
 FOLDS = 4
-#: A sweep passes each frequency once, so one fold may contain more than the fraction SWEPT of the input's power at a
-#: frequency; the other folds then cannot predict the response there. At these frequencies the sums are shifted among
-#: the folds, by one fold from each block of BLOCK frequencies to the next (blocks, because the window correlates lines
-#: up to two apart). This is done only where the fold has real content: more than the fraction LEAST_POWER of its power
-#: within the relative distance BAND of the frequency.
-SWEPT, BLOCK = 0.8, 4
-LEAST_POWER, BAND = 1e-3, 0.1
+#: A sweep passes each frequency once, so one fold may contain more than this fraction of the input's power at a
+#: frequency, and the other folds cannot predict the response there.
+SWEPT = 0.8
+#: At these frequencies the sums are shifted among the folds, by one fold from each block of this number of frequencies
+#: to the next; blocks, because the window correlates lines up to two apart.
+BLOCK = 4
+#: Fraction of the total power that must be exceeded near a frequency, so that a fold or a segment has real content
+#: there.
+LEAST_POWER = 1e-3
+#: Relative distance from a frequency within which power counts as near this frequency.
+BAND = 0.1
 #: Lines of the spectrum that are closer together than this fraction of their frequency are combined.
 RESOLUTION = 2e-3
-#: The noise is averaged over this fraction of an octave on both sides of a frequency, or over this number of
-#: frequencies on both sides if these extend farther.
-NOISE_OCTAVE, NOISE_BINS = 0.25, 8
+#: The noise is averaged over this fraction of an octave on both sides of a frequency.
+NOISE_OCTAVE = 0.25
+#: The noise is averaged over at least this number of frequencies below a frequency, and of those from it upwards.
+NOISE_BINS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,11 +175,15 @@ def _swept(frequencies, power) -> np.ndarray:
 
 #: Largest number of modes of a structure.
 MOST_MODES = 2
-#: Range of the damping ratio; highest frequency of a mode, as a fraction of the sample rate; shortest lag [samples];
-#: longest lag and longest delay, as a fraction of a segment; largest number of evaluations of a fit.
+#: Range of the damping ratio of a mode.
 DAMPING_RANGE = (5e-4, 0.9)
+#: Highest frequency of a mode, as a fraction of the sample rate.
 HIGHEST = 0.49
-SHORTEST, LONGEST = 0.05, 0.25
+#: Shortest lag [samples].
+SHORTEST = 0.05
+#: Longest lag and longest delay, as a fraction of a segment, but at least four samples.
+LONGEST = 0.25
+#: Largest number of evaluations of a fit.
 MOST_EVALUATIONS = 60
 #: Standard deviation (width) of the Hann window's power spectrum, as a fraction of the distance between two lines.
 WINDOW_WIDTH = 1.0 / math.sqrt(3.0)
@@ -539,15 +548,22 @@ class ModalSearch:
         return ModalTrial(structure, part, gain, columns @ coefficients, values)
 
 
-#: Order of the autoregressive model that whitens the residual, and number of times that it is fitted: assumed.
-WHITENING, WHITENED = 40, 2
-#: Largest number of evaluations of the refinement in the time domain. A sample is an outlier if its whitened residual
-#: is more than FAR times the median over AROUND samples.
-REFINEMENTS, FAR, AROUND = 12, 10.0, 101
-#: Residual, relative to the output, below which no refinement is needed; smallest and largest number of samples for a
-#: refinement. Fewer samples do not determine the whitening filter; with more samples, the segments of the spectra are
-#: so long that the window has little effect.
-EXACT, REFINED = 1e-9, (20 * WHITENING, 60_000)
+#: Assumed order of the autoregressive model that whitens the residual.
+WHITENING = 40
+#: Assumed number of times that the autoregressive model is fitted.
+WHITENED = 2
+#: Largest number of evaluations of a fit in the time domain.
+REFINEMENTS = 12
+#: A sample is an outlier if its whitened residual is more than this multiple of the median around it, and of the
+#: overall median.
+FAR = 10.0
+#: Number of samples of the median around a sample.
+AROUND = 101
+#: Residual, relative to the output, up to which no refinement is needed.
+EXACT = 1e-9
+#: Smallest and largest number of samples for a refinement: fewer samples do not determine the whitening filter, and
+#: with more samples the segments of the spectra are so long that the window has little effect.
+REFINED = (20 * WHITENING, 60_000)
 
 
 class TimeSearch(ModalSearch):
@@ -690,19 +706,26 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
     return tuple(modes)
 
 
-#: Number of initial frequencies of a mode, its initial damping ratios, and number of the best starts that are refined.
-TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
+#: Number of initial frequencies of a mode.
+TRIED_FREQUENCIES = 100
+#: Initial damping ratios of a mode.
+TRIED_DAMPINGS = (0.01, 0.05, 0.25)
+#: Number of the best starts that are refined.
+FOLLOWED = 2
 #: Number of initial frequencies whose columns are computed together.
 TRIED_TOGETHER = 20
 #: For each number of modes, largest number of structures that are compared on held-out segments.
 JUDGED = 3
-#: Number of evaluations before the first comparison of the structures, and number of structures whose fit then
-#: continues.
-SCREENED, CONTINUED = 10, 4
-#: A larger structure must predict better in at least the fraction MAJORITY of the folds. If modes were added, only
-#: those folds count that have at least the fraction LEAST_SHARE of the input's power near these modes (within the
-#: factor NEARBY_FREQUENCY of their frequencies). Each added mode must also improve the prediction near its frequency.
-MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
+#: Number of evaluations before the first comparison of the structures.
+SCREENED = 10
+#: Number of the best structures whose fit continues after this comparison.
+CONTINUED = 4
+#: Fraction of the folds in which a larger structure must at least predict better.
+MAJORITY = 0.75
+#: Frequencies within this factor of the frequency of an added mode are near it; the prediction there must also improve.
+NEARBY_FREQUENCY = 1.4
+#: If modes were added, only those folds count that have at least this fraction of the input's power near these modes.
+LEAST_SHARE = 0.05
 #: Largest number of evaluations of a fit without one fold; such a fit starts near its minimum.
 FEW_EVALUATIONS = 6
 
@@ -997,14 +1020,18 @@ def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings,
 
 #: A recording that condensing does not reduce to this number of samples counts as fast.
 FAST_SAMPLES = 12000
-#: Numbers of samples of fast recordings that are used in the search for creep, and for the final weights.
-SEARCHED, SETTLED = 8000, 24000
+#: Number of samples of fast recordings that are used in the search for creep, or more until they cover the voltage
+#: range.
+SEARCHED = 8000
+#: Number of samples of fast recordings that are used for the final weights, or more until they cover the voltage range.
+SETTLED = 24000
 TURNS = 2
-#: The hysteresis loops themselves contain power up to this harmonic of the drive. A resonance at these frequencies
-#: counts only if the voltage excites it, that is, if in at least one segment more than the fraction LEAST_POWER of the
-#: voltage's power lies within the relative distance BAND of the resonance frequency. A segment has at least CYCLES
-#: cycles.
-HARMONICS, CYCLES = 10, 4.0
+#: The hysteresis loops themselves contain power up to this harmonic of the drive, so a resonance at these frequencies
+#: counts only if in at least one segment more than the fraction LEAST_POWER of the voltage's power lies within the
+#: relative distance BAND of the resonance frequency.
+HARMONICS = 10
+#: Least number of cycles of the drive in such a segment, unless the whole recording has fewer.
+CYCLES = 4.0
 #: A mode with a damping ratio below this value is a resonance, which a lag cannot represent.
 SHARP = 0.3
 

@@ -34,13 +34,19 @@ from hysteresis_ros.files import read_json
 
 #: One odd harmonic of each group of this size is omitted.
 GROUP = 4
-#: Default number of samples per period, and smallest number of samples of a block of a stepped sine.
-PERIOD, STEP = 2000, 200
+#: Default number of samples per period of a multisine, and per segment of noise.
+PERIOD = 2000
+#: Default number of samples of a block of a stepped sine; a block with whole cycles may be longer.
+STEP = 200
 #: Default of the highest frequency, as a fraction of the sample rate.
 HIGHEST = 0.48
-#: Least number of lines of a multisine, least number of samples per cycle of a stepped sine, default number of noise
-#: segments.
-LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
+#: Least number of lines of a multisine.
+LEAST_LINES = 8
+#: A block of a stepped sine may be longer than the shortest allowed one by this number of cycles, or by 8 samples if
+#: these are more.
+LEAST_CYCLE = 2.0
+#: Default length of noise, as a multiple of half a segment.
+SEGMENTS = 32
 #: Largest number of samples of a plausible recording.
 MOST_SAMPLES = 10**12
 #: Points at which each loop can be excited; the first is the default.

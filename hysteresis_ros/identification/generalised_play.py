@@ -54,9 +54,10 @@ FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "bot
 LONGEST_RATE = 0.1
 #: Initial value and limits of the mean bend of both envelopes, and of the difference between their bends.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
-#: Speeds count as different if their ratio exceeds DIFFERENT. Only swings over more than the fraction LEAST_SWING of
-#: the range are compared.
-DIFFERENT, LEAST_SWING = 2.0, 0.1
+#: Speeds count as different if the ratio of the largest to the smallest exceeds this value.
+DIFFERENT = 2.0
+#: Only swings over more than this fraction of the range are compared.
+LEAST_SWING = 0.1
 #: Smallest slope of the part without hysteresis, as a fraction of the total slope.
 LEAST_SLOPE = 1e-6
 

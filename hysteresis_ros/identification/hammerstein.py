@@ -56,9 +56,12 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Largest lag and delay, as a fraction of the slow half cycle; initial lag and initial delay of a search, as fractions
-#: of the mean half cycle.
-LONGEST_LAG, FIRST_LAG, FIRST_DELAY = 0.6, 0.12, 0.03
+#: Largest lag and largest delay, as a fraction of the slow half cycle, or of the mean half cycle if it is longer.
+LONGEST_LAG = 0.6
+#: Initial lag of a search, as a fraction of the mean half cycle.
+FIRST_LAG = 0.12
+#: Initial delay of a search, as a fraction of the mean half cycle.
+FIRST_DELAY = 0.03
 #: This fraction of a voltage's power lies below the frequency of its slow half cycle.
 SLOW_PART = 0.1
 #: A value lies at an end of its range if its distance from the end is below this fraction of the range.
@@ -66,8 +69,10 @@ AT_END = 1e-4
 #: Largest creep rate per decade.
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
-#: Step of the derivatives, as a fraction of the parameter; smallest step, as a fraction of the parameter's range.
-RELATIVE_STEP, SMALLEST_STEP = 1e-3, 1e-6
+#: Step of the derivatives, as a fraction of the parameter.
+RELATIVE_STEP = 1e-3
+#: Smallest step of the derivatives, as a fraction of the parameter's range.
+SMALLEST_STEP = 1e-6
 #: Singular values of the sensitivities below this fraction of the largest one are rounding errors.
 SMALLEST_VALUE = 3e-8
 
@@ -381,8 +386,10 @@ def robust_fit(
     return found, structure
 
 
-#: Number of held-out parts, and number of intervals in each part.
-PARTS, STRETCHES_OF_A_PART = 5, 4
+#: Number of held-out parts.
+PARTS = 5
+#: Default number of intervals in each held-out part.
+STRETCHES_OF_A_PART = 4
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:

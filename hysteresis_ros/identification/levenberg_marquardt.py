@@ -24,11 +24,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-#: Initial damping, and damping above which the search ends, relative to the diagonal of the normal matrix.
-DAMPING, MOST_DAMPING = 1e-3, 1e8
-#: Computing a normal matrix takes far more time than evaluating a trial point. Each step therefore tries several
-#: dampings and uses the best: EASED times the last damping, then larger ones by factors of RAISED.
-EASED, RAISED = 0.02, 4.0
+#: Damping before the first step, relative to the diagonal of the normal matrix.
+DAMPING = 1e-3
+#: Damping from which on no step is tried, relative to the diagonal of the normal matrix.
+MOST_DAMPING = 1e8
+#: Each step first tries this multiple of the last damping, and uses the best of several dampings, because computing a
+#: normal matrix takes far more time than evaluating a trial point.
+EASED = 0.02
+#: Ratio of each tried damping to the one tried before it.
+RAISED = 4.0
 LEAST_DAMPING = 1e-10
 
 

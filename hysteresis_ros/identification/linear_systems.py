@@ -252,9 +252,11 @@ METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
 #: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
 MARGIN = 64
-#: Number of samples on each side from which a band-limited input is interpolated, and β of the Kaiser window. CLOSE is
-#: the more accurate one up to a quarter of the sample rate; SHARP is for inputs up to nearly half the sample rate.
-CLOSE, SHARP = (10, 12.0), (32, 8.0)
+#: Interpolation of a band-limited input that is the more accurate one up to a quarter of the sample rate: number of
+#: samples on each side, and β of the Kaiser window.
+CLOSE = (10, 12.0)
+#: The same two numbers for inputs up to nearly half the sample rate.
+SHARP = (32, 8.0)
 
 
 def upsample(

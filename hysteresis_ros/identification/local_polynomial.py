@@ -38,9 +38,10 @@ from hysteresis_ros.identification.frequency_response import (
     ResponseMatrix,
 )
 
-#: Degree of the polynomials. By default, the degrees of freedom of the covariance exceed the number of outputs by
-#: FREEDOM.
-DEGREE, FREEDOM = 2, 10
+#: Default degree of the polynomials.
+DEGREE = 2
+#: By default, the degrees of freedom of the covariance exceed the number of outputs by this number.
+FREEDOM = 10
 #: Number of frequency lines whose equations are solved together.
 CHUNK = 512
 

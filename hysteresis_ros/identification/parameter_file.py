@@ -51,8 +51,10 @@ from hysteresis_ros.units import figure_name
 SECTION = "/identification"
 #: Name of a figure: largest possible excess of the gain of loops over a tenth of the range over the model's gain [%].
 SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
-#: Sample rate [Hz] and highest voltage [V] of the example axis for a model.
-EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
+#: Sample rate of the example axis for a model [Hz].
+EXAMPLE_RATE = 1000.0
+#: Highest voltage of the example axis for a model [V].
+EXAMPLE_VOLTAGE = 100.0
 #: Fields that are written for each mode.
 MODE_NUMBERS = ("frequency", "damping", "position", "velocity")
 _HEADER = """\

@@ -460,13 +460,16 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
 #: Tried values of κ, and number of plays of each density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
-#: Number of swings of the decaying loops on which densities are compared, and number of points of a swing.
-SWINGS, POINTS = 16, 40
+#: Number of swings of the decaying loops on which densities are compared.
+SWINGS = 16
+#: Number of points of a swing.
+POINTS = 40
 #: Size of the small loop whose gain is compared, as a fraction of the range.
 SMALL = 0.1
-#: Smallest size of the recorded loops from which the speed is determined, and smallest reversal that ends a loop, as
-#: fractions of the range.
-LARGE, REVERSED = 0.5, 0.05
+#: The speed is determined from the reversals of the voltage by more than this fraction of the range.
+LARGE = 0.5
+#: A recorded loop ends where the voltage reverses by more than this fraction of the range.
+REVERSED = 0.05
 
 
 @dataclass(frozen=True)

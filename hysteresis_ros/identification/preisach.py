@@ -35,11 +35,14 @@ from hysteresis_ros.models.play_operators import plays
 
 WIDTHS = 24
 NODES = 33
-#: Number of cells of a free density along each threshold, over the range of the recording; largest number of nodes of
-#: the map.
-FREE_CELLS, MOST_NODES = 16, 65
-#: Number of samples, and of cells along each threshold, with which the linear part after a free density is searched.
-SEARCHED, SEARCHED_CELLS = 1500, 8
+#: Default number of cells of a free density along each threshold, over the range of the recording.
+FREE_CELLS = 16
+#: Largest number of nodes of the map along each threshold.
+MOST_NODES = 65
+#: Approximate number of samples with which the linear part after a free density is searched.
+SEARCHED = 1500
+#: Number of cells along each threshold with which the linear part after a free density is searched.
+SEARCHED_CELLS = 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
 #: Largest magnitude of κ, the dependence of the density on the bias; g(V) (see above) is monotone for magnitudes up to

@@ -76,9 +76,10 @@ def prepared(
 SMOOTHER = 0.7
 #: Intervals longer than this multiple of the median interval are gaps.
 GAP_DISTANCE = 1.5
-#: Gaps of at most SHORT_GAP samples are bridged automatically. With longer gaps, the longest part without a gap is used
-#: if it contains at least the fraction LONG_ENOUGH of the samples.
-SHORT_GAP, LONG_ENOUGH = 3, 0.3
+#: Largest number of missing samples in a gap that is bridged automatically.
+SHORT_GAP = 3
+#: With longer gaps, the longest part without a gap is used if it contains at least this fraction of the samples.
+LONG_ENOUGH = 0.3
 
 
 def steadied(data: IdentificationData) -> IdentificationData:

@@ -39,15 +39,20 @@ FIRST_BAND = 0.01
 CERTAIN = 3.0
 #: Number of levels of the input at which the mean branches are computed.
 LEVELS = 50
-#: The loop is a butterfly if a polynomial of degree DEGREE explains at least the fraction EXPLAINED of the output's
-#: variance and, within the range, falls by at least the fraction FALLS of its rise (or rises by this fraction of its
-#: fall).
-DEGREE, EXPLAINED, FALLS = 4, 0.3, 0.25
-#: The output is level at an end of the range if both mean branches change by at most the fraction LEVEL of the stroke
-#: over at least FEWEST_LEVELS levels …
-LEVEL, FEWEST_LEVELS = 0.01, 3
-#: … and it becomes level abruptly if the mean slope of the steeper branch just before is at least this fraction of the
-#: overall mean slope.
+#: Degree of the polynomial by which a butterfly is recognised.
+DEGREE = 4
+#: In a butterfly, the polynomial explains at least this fraction of the output's variance.
+EXPLAINED = 0.3
+#: In a butterfly, the polynomial falls within the range by at least this fraction of its rise, or rises by at least
+#: this fraction of its fall.
+FALLS = 0.25
+#: The output is level at an end of the range if both mean branches together change by at most this fraction of the
+#: stroke.
+LEVEL = 0.01
+#: Smallest number of levels of the input over which the output must be level there.
+FEWEST_LEVELS = 3
+#: The output becomes level abruptly if the mean slope of the steeper branch just before is at least this fraction of
+#: the overall mean slope.
 ABRUPT = 0.5
 #: The loop saturates at an end, or has a dead zone, if the slope there, over a tenth of the range, is below this
 #: fraction of the largest slope.
@@ -305,8 +310,12 @@ def _refusal(data: IdentificationData, turn: float | None, gain: SlowGain) -> st
     return _falling(data, gain)
 
 
-#: Numbers of plays and dead zones of a trial fit, and number of its samples.
-TRIED_PLAYS, TRIED_ZONES, COARSE = 10, 3, 1500
+#: Number of plays of a trial fit.
+TRIED_PLAYS = 10
+#: Number of dead zones of a trial fit.
+TRIED_ZONES = 3
+#: Least number of samples to which a recording is condensed for a trial fit.
+COARSE = 1500
 
 
 def trial_error(data: IdentificationData, limits: tuple[float, float] = (-np.inf, np.inf)) -> float:

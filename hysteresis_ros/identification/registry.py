@@ -22,9 +22,12 @@ from hysteresis_ros.registry import resolved
 
 #: Name that selects the model with the best prediction.
 AUTO = "auto"
-#: Name of the default; the model whose parts, options and inverses apply to it; the procedure that compares this model
-#: with others.
-USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
+#: Name of the default.
+USUAL = "usual"
+#: Model whose parts, options and inverses apply to the default.
+FIRST = "prandtl_ishlinskii"
+#: Procedure that compares this model with others.
+RIVALS = "hysteresis_ros.identification.procedures:usual"
 #: Words that stand for sets of parts.
 WORDS = {"none": (), "auto": PARTS}
 

@@ -41,8 +41,10 @@ from hysteresis_ros.identification.preprocessing import notable_outliers
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import shown_unit
 
-#: Number of bands per octave, and of narrow bands per octave for resonances.
-BANDS, NARROW_BANDS = 6, 24
+#: Number of bands per octave.
+BANDS = 6
+#: Number of narrow bands per octave, for resonances.
+NARROW_BANDS = 24
 #: The response counts as known in bands where two standard deviations are below this fraction of the response.
 KNOWN = 0.5
 #: A significant error above KNOWN is treated as a resonance that the model lacks or has at another frequency. PEAK is
@@ -63,7 +65,10 @@ WHOLE = 0.5
 #: The residual rings at a frequency where its mean power in a narrow band exceeds its mean power in the surrounding two
 #: octaves by this factor.
 STANDS_OUT = 8.0
-NARROW, WIDE = 1.0 / 20.0, 1.0
+#: Half of the width of the narrow band around a frequency [octaves].
+NARROW = 1.0 / 20.0
+#: Half of the width of the surrounding band [octaves].
+WIDE = 1.0
 #: A peak is ignored if the residual there is below this fraction of the movement that the model explains.
 RINGS = 0.3
 #: Ringing within the half-power bandwidth of a mode of the model with at most this damping ratio is motion of this

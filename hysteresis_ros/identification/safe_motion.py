@@ -47,11 +47,15 @@ from hysteresis_ros.units import shown_unit
 
 #: Time [s] for the whole voltage range if no limit is known.
 FIRST_SECONDS = 1.0
-#: Largest ratio of the slew rate to the largest slew rate in the recording, and fraction of the slew rate that is
-#: reserved for setpoints.
-ROOM, FOR_SETPOINTS = 2.0, 0.5
-#: Damping ratio from which on a mode is not a resonance; magnitude up to which a pole is part of a delay.
-NO_RESONANCE, DELAY = 0.5, 1e-3
+#: Ratio of the slew rate to the largest slew rate in the recording, unless this is slower than the range in
+#: FIRST_SECONDS.
+ROOM = 2.0
+#: Fraction of the slew rate that is reserved for setpoints.
+FOR_SETPOINTS = 0.5
+#: Damping ratio from which on a mode is not a resonance.
+NO_RESONANCE = 0.5
+#: Magnitude up to which a pole is part of a delay.
+DELAY = 1e-3
 #: Length of each moving average without a known resonance, as a fraction of the time to cross the stroke.
 UNKNOWN_PART = 0.1
 #: Number of digits of written limits; they are not more accurate.

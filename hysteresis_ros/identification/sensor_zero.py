@@ -34,16 +34,20 @@ from hysteresis_ros.units import readable
 AT_ZERO = 0.002
 #: Number of samples at 0 V that suffice without the movement after them.
 ENOUGH = 30
-#: Largest movements that are used (the second if the first has too few readings), and largest movement that counts as
-#: rest, as fractions of the stroke. Hysteresis would bend the line of larger movements.
-SMALL_MOVEMENTS, AT_REST = (0.01, 0.05), 1e-4
+#: Largest movements that are used (the second if the first has too few readings), as fractions of the stroke;
+#: hysteresis would bend the line of larger movements.
+SMALL_MOVEMENTS = (0.01, 0.05)
+#: Largest movement that counts as rest, as a fraction of the stroke.
+AT_REST = 1e-4
 #: Smallest number of readings during movement that determines a straight line.
 FEWEST_MOVING = 8
 #: The recording began at rest at 0 V if the error of the model with this start is below this fraction of the error of
 #: the model with a start from rest at the first voltage.
 CLEARLY = 0.5
-#: Number of samples at the beginning that are compared; number of samples before them in which the model comes to rest.
-FIRST, BEFORE = 200, 4000
+#: Least number of samples at the beginning that are compared, if the voltage does not rest there for long enough.
+FIRST = 200
+#: Number of samples before the recording in which the model comes to rest.
+BEFORE = 4000
 #: A zero is significant if it differs from 0 by more than this number of standard deviations.
 SIGNIFICANT = 3.0
 #: Readings farther from the line than this many standard deviations of the bulk of the readings are outliers.

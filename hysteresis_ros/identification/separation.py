@@ -44,21 +44,29 @@ from hysteresis_ros.identification.preprocessing import (
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 from hysteresis_ros.units import readable
 
-#: Numbers of plays and dead zones of the trial fits, and number of samples that these fits use.
-TRIED_PLAYS, TRIED_ZONES = 10, 3
+#: Number of plays of the trial fits.
+TRIED_PLAYS = 10
+#: Number of dead zones of the trial fits.
+TRIED_ZONES = 3
+#: Least number of samples to which a recording is condensed for the trial fits.
 COARSE = 1500
 #: Fraction of the samples, those with the largest errors (possibly outliers), that the comparison of histories omits.
 TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by more than this fraction of the largest magnitude.
 BIPOLAR = 0.1
-#: A start at rest is accepted if the error at the beginning is at most AS_WELL times the error of the remaining
-#: samples, or, for models whose fit needs the beginning, at most the fraction AT_REST of the stroke.
-AS_WELL, AT_REST = 1.5, 0.01
-#: A remanence is preferred to rest if its error at the beginning is smaller than REMANENT (assumed) times the error of
-#: rest. The reason for this factor: the trials do not contain the modes, whose response to the first rise is as large
-#: as the effect of a small remanence. If the error of rest is more than EXPLAINED times the error of the remaining
-#: samples, any remanence with a smaller error is preferred.
-REMANENT, EXPLAINED = 0.8, 3.0
+#: A start at rest is accepted if the error at the beginning is at most this multiple of the error of the remaining
+#: samples.
+AS_WELL = 1.5
+#: For models whose fit needs the beginning, a start at rest is also accepted if the error at the beginning is at most
+#: this fraction of the stroke.
+AT_REST = 0.01
+#: A remanence is preferred to rest if its error at the beginning is at most this multiple (assumed) of the error of
+#: rest, because the trials do not contain the modes, whose response to the first rise is as large as the effect of a
+#: small remanence.
+REMANENT = 0.8
+#: If the error of rest is more than this multiple of the error of the remaining samples, any remanence whose error is
+#: not larger than that of rest is preferred.
+EXPLAINED = 3.0
 #: Assumed: if more than this fraction of the recording would be omitted, a start at rest is tried first.
 MOST_OMITTED = 0.3
 #: A recording is closed if input and output end within this fraction of their range from their first values.
@@ -356,9 +364,10 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the voltage before the recording, as fractions of the best voltage with the first fit;
-#: relative tolerance of this search.
-SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
+#: Range of the search for the voltage before the recording, as fractions of the best voltage with the first fit.
+SEARCHED_PART = (0.6, 1.5)
+#: Tolerance of this search, as a fraction of the same voltage.
+PAST_TOLERANCE = 3e-3
 MOST_PAST_TRIALS = 14
 
 

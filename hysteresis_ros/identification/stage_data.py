@@ -35,13 +35,17 @@ from hysteresis_ros.units import conversion
 INPUT, OUTPUT = "voltage", "measured"
 #: Sample times of files count as different if they differ by more than this fraction.
 SAME_RATE = 1e-6
-#: Largest number of candidate periods, and smallest number of samples of a period.
-CANDIDATES, SHORTEST = 50, 16
+#: Largest number of candidate periods.
+CANDIDATES = 50
+#: Smallest number of samples of a period, and of samples in which an input moves alone.
+SHORTEST = 16
 #: A span contains no realisation if the RMS motion of the inputs in it is at most this fraction of their overall RMS
 #: motion.
 STILL = 0.02
-#: Names of two signals of an axis in the recording of a stage: the reference, and whether the sample was skipped.
-ASKED, SKIPPED = "reference", "skipped"
+#: Name of the signal with the reference of an axis in the recording of a stage.
+ASKED = "reference"
+#: Name of the signal that states whether the sample was skipped.
+SKIPPED = "skipped"
 #: Largest fraction of the samples of a realisation that skipped samples may change.
 MOST_CHANGED = 0.1
 

@@ -43,9 +43,10 @@ LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
 PRECISION = np.float32
 #: Number of parameters whose sensitivities are computed together, so that they fit into the cache of a core.
 CHUNK = 192
-#: JᵀJ uses every k-th sample, with the largest k up to STRIDE that leaves at least ROWS values per parameter; the
-#: gradient always uses all samples.
-STRIDE, ROWS = 4, 60
+#: JᵀJ uses every k-th sample, with k at most this number; the gradient always uses all samples.
+STRIDE = 4
+#: The largest k is used that leaves at least this number of values per parameter.
+ROWS = 60
 
 
 class Matrices(NamedTuple):
