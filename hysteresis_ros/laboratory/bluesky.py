@@ -53,8 +53,10 @@ from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_s
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
-#: Interval at which a move is checked and its progress is reported to watchers [s].
-LOOK, TELL = 0.005, 0.1
+#: Interval at which a move is checked [s].
+LOOK = 0.005
+#: Interval at which the progress of a move is reported to watchers [s].
+TELL = 0.1
 #: Time in which the axis must accept a flight [s].
 TAKEN = 2.0
 #: The state of an axis without a problem.

@@ -49,8 +49,10 @@ HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
-#: Speed of s at which the thresholds have half of their maximum widening [1/s], and averaging time of the speed [s].
-SPEED_KNEE, SPEED_MEMORY = 20.0, 2e-3
+#: Speed of s at which the thresholds have half of their maximum widening [1/s].
+SPEED_KNEE = 20.0
+#: Averaging time of the speed of s [s].
+SPEED_MEMORY = 2e-3
 #: The longest delay [steps of the fine grid].
 LONGEST_DELAY = 256
 

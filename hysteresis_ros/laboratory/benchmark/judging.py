@@ -25,11 +25,16 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.benchmark.models import load_model
 
-#: Number of bootstrap samples for a confidence interval, their seed, and the quantiles at the ends of the interval.
-RESAMPLINGS, SEED, ENDS = 1000, 1, (0.025, 0.975)
-#: Test of causality: fraction of the test input that the model gets, and largest resulting change of the prediction for
-#: this part [fraction of the stroke].
-SHOWN, SAME = 0.6, 1e-6
+#: Number of bootstrap samples for a confidence interval.
+RESAMPLINGS = 1000
+#: Seed of the bootstrap samples, and of NumPy's global generator before each fit.
+SEED = 1
+#: Quantiles at the ends of a confidence interval.
+ENDS = (0.025, 0.975)
+#: Fraction of the test input that the model gets in the test of causality.
+SHOWN = 0.6
+#: Largest change of the prediction for this part, as a fraction of the stroke, that the rest of the input may cause.
+SAME = 1e-6
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,10 @@ RECORDING = {
     "test": "part for the test",
 }
 PART = {"file": "name below the folder of the recordings", "sha256": "checksum of the file", "range": "FIRST:LAST"}
-#: Largest relative difference between the sample times of both parts; minimum number of turning points of an input.
-SAME_RATE, TURNS = 1e-3, 2
+#: Largest relative difference between the sample times of both parts.
+SAME_RATE = 1e-3
+#: Minimum number of turning points of an input.
+TURNS = 2
 
 
 @dataclass(frozen=True)

@@ -86,11 +86,14 @@ class ClassicalPrandtlIshlinskii:
         return self.sign * (plays(input, self.thresholds) @ self.weights + self.constant)
 
 
-#: Numbers of delayed outputs and inputs that are tried. Ridge parameters that are tried, as fractions of the mean
-#: squared norm of a regressor.
-ORDERS, RIDGE = ((1, 1), (2, 2), (3, 3), (2, 4)), (1e-10, 1e-7, 1e-4)
-#: Last fraction of the fit data, on which orders and ridge are selected; scaled output above which a free run diverges.
-HELD_OUT, DIVERGED = 0.25, 10.0
+#: Tried numbers of delayed outputs and of delayed inputs.
+ORDERS = ((1, 1), (2, 2), (3, 3), (2, 4))
+#: Tried ridge parameters, relative to the mean square.
+RIDGE = (1e-10, 1e-7, 1e-4)
+#: Fraction of the fit data, at their end, on which orders and ridge parameter are selected.
+HELD_OUT = 0.25
+#: Magnitude of the scaled output from which on a free run has diverged.
+DIVERGED = 10.0
 
 
 class Narx:
@@ -173,8 +176,18 @@ class Narx:
         return float(found[-1]) if np.isfinite(found[-1]) else 0.0
 
 
-#: Hidden units, length of a training sequence and of its unevaluated part, sequences per step, steps, learning rate.
-UNITS, LENGTH, WARM_UP, BATCH, STEPS, RATE = 8, 160, 40, 32, 600, 1e-2
+#: Number of hidden units.
+UNITS = 8
+#: Length of a training sequence [samples].
+LENGTH = 160
+#: Length of the first part of a training sequence, which is not evaluated [samples].
+WARM_UP = 40
+#: Number of sequences per training step.
+BATCH = 32
+#: Number of training steps.
+STEPS = 600
+#: Learning rate at the first step, from which it falls to zero.
+RATE = 1e-2
 
 
 class GatedRecurrentUnit:

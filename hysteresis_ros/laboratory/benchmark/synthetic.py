@@ -25,8 +25,10 @@ from hysteresis_ros.laboratory.benchmark.manifest import Task
 from hysteresis_ros.laboratory.comparison.rows import Bench, drawn, recorded
 from hysteresis_ros.models.limits import Limits
 
-#: Length of the test [s]; length of its first part, which determines the state and is not judged [s].
-DURATION, LEAD = 4.0, 0.5
+#: Length of the test [s].
+DURATION = 4.0
+#: Length of the first part of the test, which determines the state and is not judged [s].
+LEAD = 0.5
 
 
 def test_voltage(seed: int, bench: Bench) -> np.ndarray:

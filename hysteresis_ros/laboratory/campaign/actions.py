@@ -103,14 +103,20 @@ def _again(rig: Rig, victims) -> None:
 
 #: Program that keeps one core busy.
 BURN = "while True: sum(range(100000))"
-#: Used fraction at which a small disk counts as full, and observed time afterwards [s].
-FILLED, AFTERWARDS = 0.75, 3.0
+#: A small disk counts as full when the recording uses more than this fraction of it.
+FILLED = 0.75
+#: Time for which the axis is observed after the disk is full [s].
+AFTERWARDS = 3.0
 #: Maximum time until a small disk is full [s].
 FULL = 60.0
-#: Longest part that may be missing at the end of an interrupted recording, and length before the interruption [s].
-LOST, RECORDED = 1.5, 2.0
-#: Jumps of the time of day [s], and the time between them [s].
-OFFSETS, APART = (3600, -3600, 0), 1.5
+#: Longest part that may be missing at the end of an interrupted recording [s].
+LOST = 1.5
+#: Length of a recording of separate nodes before its interruption [s].
+RECORDED = 2.0
+#: Jumps of the time of day [s].
+OFFSETS = (3600, -3600, 0)
+#: Time after each jump of the time of day [s].
+APART = 1.5
 
 
 @contextlib.contextmanager
@@ -190,9 +196,10 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 #: Time of the axis at which the faults of a fused loop begin [s]; by then the axis has started and made its first move.
 SCHEDULE = 12.0
-#: Duration of a measurement fault [s]; if the voltage must become safe, it is the time by which the fault exceeds the
-#: time-out.
-LASTING, FURTHER = 3.0, 0.5
+#: Duration of a measurement fault after which the voltage need not become safe [s].
+LASTING = 3.0
+#: If the voltage must become safe, the fault lasts longer than the time-out by this time [s].
+FURTHER = 0.5
 
 
 def _lasts(mishap: Mishap, bounds: Bounds) -> float:
@@ -232,8 +239,10 @@ def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
         time.sleep(min(left, 0.5))
 
 
-#: Duration of a repeated action, and interval of its repetitions [s].
-LONG, TURN = 3.0, 1e-3
+#: Duration of a repeated action [s].
+LONG = 3.0
+#: Pause between two bursts of published setpoints [s].
+TURN = 1e-3
 #: Repetitions between two moves of the axis.
 STEADY = 50
 #: Largest command of a second sender, in strokes.
@@ -244,8 +253,10 @@ REFUSED = 2
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Requested lifecycle transitions: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints; one in so many published setpoints is invalid.
-GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
+#: Invalid setpoints.
+GARBAGE = (math.nan, math.inf, -math.inf, 1e300, -1.0)
+#: One of this number of published setpoints is invalid.
+GARBAGE_EVERY = 7
 
 
 def flood(rig: Rig, mishap: Mishap, amount: float) -> None:

@@ -40,8 +40,10 @@ from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.recordings.align import read_recording
 
-#: Name of the process that contains all nodes, and of the separate recorder of nodes that exchange messages.
-AXIS, RECORDER = "hysteresis_axis", "recorder"
+#: Name of the process that contains all nodes.
+AXIS = "hysteresis_axis"
+#: Name of the separate recorder of nodes that exchange messages.
+RECORDER = "recorder"
 
 #: Number of last words of the output that a report about an ended process quotes.
 LAST_WORDS = 30
@@ -147,8 +149,10 @@ class Group:
 
 #: Largest size of a file on the small disk [KiB].
 ROOM = 1024
-#: Time in which an emulated device starts, and polling interval [s].
-DEVICE_START, DEVICE_LOOK = 60.0, 0.05
+#: Time in which an emulated device must start [s].
+DEVICE_START = 60.0
+#: Polling interval while an emulated device starts [s].
+DEVICE_LOOK = 0.05
 #: Code that Python runs first in a process with an adjustable time of day.
 TIME_OF_DAY = """import os, struct, time
 _time, _time_ns, _file = time.time, time.time_ns, os.open({path!r}, os.O_RDONLY)
@@ -238,15 +242,20 @@ class Device:
         self._process.wait()
 
 
-#: Time allowed for an axis to start, including compilation on a busy machine [s]; to restart [s]; and to follow a
-#: setpoint again [s].
-FIRST_START, START, RECOVERY = 300.0, 60.0, 40.0
+#: Time allowed for an axis to start for the first time, including compilation on a busy machine [s].
+FIRST_START = 300.0
+#: Time allowed for nodes to start again [s].
+START = 60.0
+#: Time allowed for an axis to follow a setpoint again [s].
+RECOVERY = 40.0
 #: Number of unsuccessful moves after which an axis counts as not running.
 TRIES = 3
 #: Interval at which a setpoint is repeated [s], because a starting node may have missed it.
 AGAIN = 1.0
-#: Dwell time at a reached setpoint, and longest time from the start of a move to the fault [s].
-KEPT, MOVING = 0.1, 0.4
+#: Time for which an axis must stay at a setpoint so that the setpoint counts as reached [s].
+KEPT = 0.1
+#: Longest time from the start of a move to the fault [s].
+MOVING = 0.4
 #: Text that no process may print.
 TRACEBACK = "Traceback (most recent call last)"
 

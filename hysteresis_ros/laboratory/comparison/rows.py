@@ -177,11 +177,18 @@ def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) ->
     )
 
 
-#: Names of the benchmark in the tables.
-CONTROLLER, COMPENSATOR = "PI + static feedforward, tuned on the plant", "none"
-#: Initial crossovers [Hz] and proportional gains of the search, its iterations, and the tolerance of its simplex.
-CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
-ITERATIONS, TOLERANCE = 30, 1e-2
+#: Name of the controller of the benchmark in the tables.
+CONTROLLER = "PI + static feedforward, tuned on the plant"
+#: Name of the compensator of the benchmark in the tables.
+COMPENSATOR = "none"
+#: Initial crossovers of the search [Hz].
+CROSSOVERS = (1.0, 3.0, 10.0, 30.0, 100.0)
+#: Initial proportional gains of the search.
+PROPORTIONAL = (0.0, 0.5, 2.0)
+#: Number of iterations of the search.
+ITERATIONS = 30
+#: Tolerance of the simplex of the search.
+TOLERANCE = 1e-2
 #: Initial size of the simplex: in the logarithm of Ki, and in Kp.
 SCALES = (3.0, 1.0)
 #: Slow model with which the law accepts the benchmark's gains, so that the run on the plant decides.

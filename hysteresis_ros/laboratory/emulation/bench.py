@@ -145,13 +145,20 @@ class Garbler:
 #: Longest backlog that a device computes [s]; it skips the rest, for example after the machine was suspended.
 LONGEST_CATCH_UP = 5.0
 
-#: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
-#: creep per decade, a resonance, 2 nm of noise.
+#: Assumed weights of the hysteresis of the default stage of an emulated device [m/V]: 0.8 µm/V, and a loop width of
+#: about 12 % of the stroke.
 WEIGHTS = (0.6e-6, 0.07e-6, 0.06e-6, 0.05e-6)
+#: Assumed radii of the hysteresis, one for each weight [V].
 RADII = (0.0, 5.0, 15.0, 30.0)
+#: Assumed creep per decade, as a fraction.
 CREEP = 0.01
-RESONANCE, DAMPING = 300.0, 0.03
+#: Assumed resonance frequency [Hz].
+RESONANCE = 300.0
+#: Assumed damping ratio of the resonance.
+DAMPING = 0.03
+#: Assumed RMS noise of the sensor [m].
 NOISE = 2.0e-9
+#: Assumed lowest and highest voltage [V].
 LIMITS = (-30.0, 130.0)
 
 

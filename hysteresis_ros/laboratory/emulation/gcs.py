@@ -137,8 +137,10 @@ def require_free(controller: Controller) -> None:
         raise Refusal(BUSY)
 
 
-#: Maximum number of points of a wave table, and number of tables.
-LONGEST_WAVE, TABLES = 65536, 8
+#: Maximum number of points of a wave table.
+LONGEST_WAVE = 65536
+#: Number of wave tables.
+TABLES = 8
 #: Number of parameters of each wave type: length of the segment, amplitude, offset, length of the curve, start, and
 #: parameters of the shape. A segment of single points (PNT) has the first index, the number of points, and the points.
 SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}

@@ -152,9 +152,12 @@ class TriggerLine:
             self.pulses.append(start + sign * number * step)
 
 
-#: Assumed: largest velocity of the servo [m/s], its on-target window [m], and the time within the window after which
-#: the servo is on target [s].
-VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
+#: Assumed largest velocity of the servo [m/s].
+VELOCITY = 1.0e-3
+#: Assumed on-target window of the servo [m].
+WINDOW = 20.0e-9
+#: Assumed time within the window after which the servo is on target [s].
+SETTLED = 5.0e-3
 
 
 class Axis:

@@ -27,14 +27,25 @@ from hysteresis_ros.hardware.driver import EmulatedDevice
 from hysteresis_ros.hardware.drivers.iio import MILLIVOLT, IioParameters
 from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, EmulatedPlant, Running
 
-#: Names of the converters.
-DAC, ADC = "emulated-dac", "emulated-adc"
+#: Name of the converter for the output.
+DAC = "emulated-dac"
+#: Name of the converter for the input.
+ADC = "emulated-adc"
 #: Name of the software trigger; a text written to its file stays there, because no buffer is connected to the trigger.
 TRIGGER = "emulated-trigger"
-#: Bits of both converters. The DAC has 0 … 10 V, the ADC -10 … 10 V; code 0 is the lowest voltage.
-BITS, SPAN = 16, 10.0
+#: Bits of both converters; code 0 is the lowest voltage.
+BITS = 16
+#: Upper end of the range of both converters [V]; the lower end is 0 V for the DAC, and the negative of this for the
+#: ADC.
+SPAN = 10.0
+#: Number of codes of a converter.
 LEVELS = 2**BITS
-OUTPUT_SCALE, INPUT_SCALE, INPUT_OFFSET = SPAN / LEVELS, 2.0 * SPAN / LEVELS, -(LEVELS // 2)
+#: Voltage of the DAC per code [V].
+OUTPUT_SCALE = SPAN / LEVELS
+#: Voltage of the ADC per code [V].
+INPUT_SCALE = 2.0 * SPAN / LEVELS
+#: Number that is added to a code of the ADC before it is scaled.
+INPUT_OFFSET = -(LEVELS // 2)
 
 
 @dataclass(frozen=True)

@@ -210,8 +210,10 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
     return {name: table[name].to_numpy() for name in table.column_names}, text
 
 
-#: Number of samples of a job (about half a second of computing), and maximum number of runs per job.
-JOB_SAMPLES, JOB_RUNS = 600_000, 250
+#: Number of samples of a job, about half a second of computing.
+JOB_SAMPLES = 600_000
+#: Maximum number of runs per job.
+JOB_RUNS = 250
 #: A job grows by the factor workers / CROWD, rounded down, so that the distribution of jobs keeps up with many workers.
 CROWD = 64
 #: Number of samples below which parallel processes are not faster.

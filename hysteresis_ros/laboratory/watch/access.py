@@ -137,10 +137,16 @@ class Control:
 #: Services of an inchworm motor that a page may call.
 SERVICES = ("home", "release", "learn", "freeze", "forget")
 
-#: Longest text of a marker, largest number of parameters in one request, longest value.
-MARKER, PARAMETERS, VALUE = 200, 50, 4096
-#: Allowed ranges of the time window [s] and of the number of screen columns.
-WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)
+#: Longest text of a marker [characters].
+MARKER = 200
+#: Largest number of parameters in one request.
+PARAMETERS = 50
+#: Longest value of a parameter [characters].
+VALUE = 4096
+#: Allowed range of the time window [s].
+WINDOW = (0.02, 60.0)
+#: Allowed range of the number of screen columns.
+COLUMNS = (50, 2000)
 
 
 class RequestError(HysteresisError):

@@ -114,15 +114,19 @@ def _unused(path: pathlib.Path) -> pathlib.Path:
     return found
 
 
-#: Interval at which the nodes of the graph are checked, and time-out of an answer [s].
-LOOK, ANSWER = 1.0, 5.0
+#: Interval at which the nodes of the graph are checked [s].
+LOOK = 1.0
+#: Time-out of an answer [s].
+ANSWER = 5.0
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
 #: Nodes to start, in this order; nodes to stop if the plant does not belong to this package.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
-#: Time in which the nodes must notice the start of the plant, and polling interval [s].
-HEARS, AGAIN = 3.0, 0.05
+#: Time in which the nodes must notice the start of the plant [s].
+HEARS = 3.0
+#: Polling interval during this time [s].
+AGAIN = 0.05
 #: Parameter services that are called.
 PARAMETER_SERVICES = {
     "list_parameters": ListParameters,

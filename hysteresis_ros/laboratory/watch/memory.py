@@ -33,8 +33,10 @@ from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
 PART_PATIENCE = 300_000_000
 #: Maximum number of incomplete samples that are kept.
 MOST_PENDING = 20_000
-#: Path of two axes in their plane: its duration [s], and the number of its points.
-PLANE_WINDOW, PLANE_POINTS = 4.0, 1500
+#: Duration of the path of two axes in their plane [s].
+PLANE_WINDOW = 4.0
+#: Maximum number of points of the path of two axes in their plane.
+PLANE_POINTS = 1500
 
 
 class Collector:
@@ -86,8 +88,12 @@ class Collector:
         return Block(stamps, np.arange(self._count - len(rows), self._count), table, None)
 
 
-#: Windows of the figures, of the spectrum and of the measured rate [s].
-FIGURES, SPECTRUM, COUNTED = 2.0, 8.0, 2.0
+#: Window of the figures [s].
+FIGURES = 2.0
+#: Window of the spectrum [s].
+SPECTRUM = 8.0
+#: Window of the measured rate [s].
+COUNTED = 2.0
 #: Time without samples after which an axis counts as silent [s].
 SILENT = 1.5
 

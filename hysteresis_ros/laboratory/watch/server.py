@@ -50,18 +50,36 @@ from hysteresis_ros.nodes.remote.commands import stands
 from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 from hysteresis_ros.units import micrometres
 
-#: Frames per second; intervals at which the status, the spectrum and the picture of the plane are sent [s].
-FRAMES, STATUS, SPECTRUM, PLANE = 25.0, 0.25, 0.5, 0.25
-#: Maximum size of a request [bytes]; maximum number of queued requests of a page.
-LONGEST, WAITING = 64 * 1024, 32
-#: Time-outs of a setpoint and of a stop [s]; interval at which a stop is repeated until it is confirmed [s].
-SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
+#: Largest number of frames per second.
+FRAMES = 25.0
+#: Interval of the status [s].
+STATUS = 0.25
+#: Interval of the spectrum [s].
+SPECTRUM = 0.5
+#: Interval of the plane [s].
+PLANE = 0.25
+#: Maximum size of a request [bytes].
+LONGEST = 64 * 1024
+#: Maximum number of queued requests of a page.
+WAITING = 32
+#: Time-out of a setpoint [s].
+SETPOINT = 2.0
+#: Time-out of a stop [s].
+STOP = 2.0
+#: Interval at which a stop is repeated until it is confirmed [s].
+AGAIN = 0.1
 #: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0
-#: Time-out for closing the open pages at the end [s], and interval at which other events are checked [s].
-PATIENCE, LOOK = 1.0, 0.2
-#: Maximum numbers of open pages and of connections; time in which a new connection must send a request [s].
-MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0
+#: Time-out for closing the open pages at the end [s].
+PATIENCE = 1.0
+#: Interval at which other events than a signal are checked [s].
+LOOK = 0.2
+#: Maximum number of open pages.
+MOST_PAGES = 16
+#: Maximum number of connections.
+CONNECTIONS = 128
+#: Time in which a new connection must send a request [s].
+FIRST_REQUEST = 10.0
 #: Headers for the browser: nothing from other origins, no embedding in other pages, no caching.
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",

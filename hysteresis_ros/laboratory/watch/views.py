@@ -36,8 +36,12 @@ from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
 
 #: Maximum number of stored samples: one minute at 20 kHz, less at higher rates.
 MOST_SAMPLES = 1_200_000
-#: Spectrum: largest and smallest segment length [samples], and number of segments.
-LONGEST, SHORTEST, SEGMENTS = 16384, 64, 4
+#: Largest segment length of the spectrum [samples].
+LONGEST = 16384
+#: Smallest segment length of the spectrum [samples].
+SHORTEST = 64
+#: Minimum number of segments of the spectrum, counted without overlap.
+SEGMENTS = 4
 #: Maximum number of points of a spectrum, logarithmically spaced in frequency.
 POINTS = 320
 
@@ -123,8 +127,10 @@ LOOP = ("voltage", "command", "measured")
 #: The same for an inchworm motor, with command and voltage of its extender.
 MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", "phase")
 MOTOR_LOOP = ("voltage", "command", "extender")
-#: Longest window of the loops [s], and number of bins in it.
-LOOP_TIME, LOOP_COLUMNS = 4.0, 1000
+#: Longest window of the loops [s].
+LOOP_TIME = 4.0
+#: Maximum number of bins in the window of the loops.
+LOOP_COLUMNS = 1000
 #: Length of the stored history [s].
 MEMORY = 60.0
 

@@ -35,8 +35,10 @@ from hysteresis_ros.laboratory.papers.claims import (
 
 TITLE = "Auwal et al. 2017, d33 piezo stack: PID and inverse multiplicative compensation of Bouc-Wen hysteresis"
 
-# Runs in the plots: as in the paper, within 0 … 150 V, and with all realistic conditions together.
-LIMITED, HONEST = "limited", "honest"
+# Runs in the plots within 0 … 150 V, otherwise as in the paper.
+LIMITED = "limited"
+# Runs in the plots with all realistic conditions together.
+HONEST = "honest"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:

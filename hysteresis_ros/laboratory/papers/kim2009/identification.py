@@ -139,7 +139,8 @@ BAND = (135, 1135)  # Hz: 1 kHz around the resonance
 # Assumed here.
 EXCITATION = 0.1e-6  # m, peak of the multisine
 WORKING_POINT = 4.0e-6  # m
-PERIODS, SETTLING = 8, 2  # periods of 1 s: all of a run, and the first ones, not evaluated: vibrations decay
+PERIODS = 8  # periods of a run, each 1 s long
+SETTLING = 2  # first periods, which are not evaluated because vibrations decay in them
 
 LOOPS = (
     "truth for K2: Prandtl-Ishlinskii stack of 40 plays, not the fitted polynomial; loop width 15 % of 12.45 µm; "

@@ -40,8 +40,12 @@ INSTANTS = 4
 #: Speed of learning [m/s], and walking speeds as multiples of it.
 SPEED = 5.0e-5
 PARTS = (0.2, 0.4, 1.0, 2.0, 4.0)
-#: Numbers of learned cycles, of cycles before an evaluated part, and of evaluated cycles.
-LEARNED, SETTLED, JUDGED = 15, 1, 2
+#: Default number of learned cycles.
+LEARNED = 15
+#: Number of cycles before an evaluated part, in addition to the one to two cycles until its first whole cycle begins.
+SETTLED = 1
+#: Number of evaluated cycles.
+JUDGED = 2
 #: Parameters of the walk: the slider oscillates on the extender at 456 Hz, the extender itself at 635 Hz, and the
 #: clamps lag by 0.2 ms.
 PLAIN = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
