@@ -210,8 +210,12 @@ def _reason(error: Exception) -> str:
 #: Sample rate that the loop sustains without Numba [Hz]: a sample of a motor takes up to 0.4 ms, and another thread of
 #: Python may hold the interpreter for 5 ms, one period at this rate.
 INTERPRETED_RATE = 200.0
-#: Time for which samples are kept for readers [s], and minimum and maximum of their number.
-KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
+#: Time for which samples are kept for readers [s].
+KEPT = 5.0
+#: Minimum number of samples that are kept for readers.
+LEAST_KEPT = 4096
+#: Maximum number of samples that are kept for readers.
+MOST_KEPT = 2**18
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
 #: Interval of the checks whether the loop has accepted a request [s].
@@ -621,11 +625,14 @@ def _same(one, other) -> bool:
     return one is other
 
 
-#: A rate is sustained when 99 % of the samples begin less than ``LATEST`` periods after the deadline, and the fraction
-#: of skipped samples is less than ``MOST_SKIPPED``.
-LATEST, MOST_SKIPPED = 0.5, 0.005
-#: Number of batches, and samples per batch, that measure the computing time of a sample; the fastest batch is used.
-BATCHES, BATCH = 5, 100
+#: A rate is sustained only if 99 % of the samples begin less than this after the deadline, as a fraction of a period.
+LATEST = 0.5
+#: A rate is sustained only if the skipped samples are less than this fraction of all samples.
+MOST_SKIPPED = 0.005
+#: Number of batches that measure the computing time of a sample; the fastest batch is used.
+BATCHES = 5
+#: Number of samples per batch.
+BATCH = 100
 
 
 class Trial(NamedTuple):

@@ -173,21 +173,29 @@ MOST_SWITCHES = 2
 #: Capacity of the rings of posts and events, far more than occur within a sample.
 POSTS, EVENTS = 64, 1024
 
-#: Upper limit of the first bin of the lateness [ns], number of bins, and number of bins per factor e of the lateness.
-LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
+#: Upper limit of the first bin of the lateness [ns].
+LEAST = 100.0
+#: Number of bins of the lateness.
+BINS = 700
+#: Number of bins per factor e of the lateness.
+RESOLUTION = 30.0
 
 #: Longest uninterrupted wait [ns]; a request to end the loop is delayed by at most this time.
 PIECE = 50_000_000
-#: Increase of the estimated wake-up time after a longer wake-up, and decrease after a shorter wake-up [ns]. The
-#: estimate converges to the 98 % quantile, where both steps balance, and follows an increase of 10 µs within about 200
-#: longer wake-ups.
-LONGER, SHORTER = 49, 1
+#: Increase of the estimated wake-up time after a longer wake-up [ns]: the estimate follows an increase of 10 µs within
+#: about 200 longer wake-ups.
+LONGER = 49
+#: Decrease of the estimated wake-up time after a wake-up that is not longer [ns]: the estimate converges to the 98 %
+#: quantile, where both steps balance.
+SHORTER = 1
 #: First estimate of the wake-up time [ns].
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: After (ring length / ``CATCH_UP``) consecutive skipped samples, the loop waits ``BREATH`` [ns] for the readers.
-CATCH_UP, BREATH = 4, 20_000_000
+#: The loop waits for the readers after (ring length / this number) consecutive skipped samples.
+CATCH_UP = 4
+#: Time for which the loop then waits for the readers [ns].
+BREATH = 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
 FEMTO = 1_000_000

@@ -140,8 +140,10 @@ def part(parameters: Parameters, cls):
     return kept[cls]
 
 
-#: Default limit of late voltages: the fraction ``LATE_PART`` of the samples in a second, but at least ``LEAST_LATE``.
-LATE_PART, LEAST_LATE = 0.05, 20
+#: Default limit of late voltages, as a fraction of the samples in a second.
+LATE_PART = 0.05
+#: Smallest default limit of late voltages.
+LEAST_LATE = 20
 
 
 #: Largest fraction of a period in which a fused loop may poll the clock. Linux needs some time on each core: with
@@ -673,10 +675,12 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 }
 
 
-#: Sample rates in wall-clock time [Hz]: up to the first, nodes that exchange messages are almost always in time (0.25 %
-#: of the voltages are late, docs/real_time.md); above the second, such a loop is refused (at 1 kHz, 3 to 12 % of the
-#: voltages are late).
-MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
+#: Sample rate in wall-clock time up to which nodes that exchange messages are almost always in time [Hz]: 0.25 % of the
+#: voltages are late, docs/real_time.md.
+MESSAGE_RATE = 300.0
+#: Sample rate in wall-clock time above which such a loop is refused [Hz]: at this rate, 3 to 12 % of the voltages are
+#: late.
+HIGHEST_MESSAGE_RATE = 1000.0
 #: Maximum number of samples of a run; a counter in double precision is not exact for more samples.
 COUNTABLE = 2.0**53
 

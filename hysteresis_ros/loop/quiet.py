@@ -35,8 +35,12 @@ from hysteresis_ros.models.block import interpreted, kernel
 from hysteresis_ros.models.creep import DECAYS, OPERATOR, OPERATORS, OUTPUT, Creep, creep_inverse
 from hysteresis_ros.units import quantity_in, readable
 
-#: Name of the change and of the service, and names of the numbers in a request.
-QUIET, DURATION, TOLERANCE = "quiet", "duration", "tolerance"
+#: Name of the change, and of the service.
+QUIET = "quiet"
+#: Name of the duration in a request.
+DURATION = "duration"
+#: Name of the tolerance in a request.
+TOLERANCE = "tolerance"
 #: Longest quiet hold, and longest horizon of a forecast [s].
 LONGEST = 1e5
 #: Number of instants at which a forecast is evaluated.

@@ -62,15 +62,20 @@ PLANTS = (
 ROUGHNESS = 0.3
 #: Weight of a move relative to the move after it.
 FORGETTING = 0.98
-#: Number of samples in a simulation of the noise at rest, and number of samples before them in which the loop settles.
-REST, SETTLING = 8192, 2000
+#: Number of samples in a simulation of the noise at rest.
+REST = 8192
+#: Number of samples before them in which the loop settles.
+SETTLING = 2000
 #: Number of realisations of the noise.
 REALISATIONS = 32
 #: Largest number of samples per call of the simulation, small enough for the thread to release the interpreter soon.
 CHUNK = 2048
-#: First and longest horizon of a prediction, and longest time before a move over which the models follow the axis
-#: [samples].
-NEAR, AHEAD, BEHIND = 256, 20_000, 512
+#: First horizon of a prediction, in addition to the dwell time [samples].
+NEAR = 256
+#: Longest horizon of a prediction [samples].
+AHEAD = 20_000
+#: Longest time before a move over which the models follow the axis [samples].
+BEHIND = 512
 
 
 def model_of(

@@ -43,9 +43,10 @@ GRID = np.geomspace(1e-5, 0.5, 2000)
 SMALLEST = 1e-7
 #: Smallest ratio of the amplitudes of displacement and reference at which the axis counts as following.
 FOLLOWED = math.sqrt(0.5)
-#: Search for a frame rate within the range of the actuators: largest number of steps, and factor of the frame rate per
-#: step.
-STEPS, SLOWER = 60, 0.97
+#: The search for a frame rate within the range of the actuators takes fewer steps than this number.
+STEPS = 60
+#: Factor of the frame rate per step of this search.
+SLOWER = 0.97
 
 
 def diagonal(systems) -> StateSpace:
