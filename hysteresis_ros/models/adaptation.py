@@ -344,8 +344,12 @@ def adapt(settings, states, p_h, x_h, voltage, measured, usable):
 
 #: Maximum number of adapted weights, because the computing time grows with the square of their number.
 MOST_WEIGHTS = 32
-#: Standard deviations of the prior: of the common gain, of the loop width, and of each individual weight.
-COMMON, OPENING, EACH = 0.3, 0.3, 1.0
+#: Standard deviation of the prior of the common gain.
+COMMON = 0.3
+#: Standard deviation of the prior of the loop width.
+OPENING = 0.3
+#: Standard deviation of the prior of each individual weight.
+EACH = 1.0
 #: ε: assumed residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
 #: Waiting time before learning continues after a stop of the axis, in time constants of the high-pass filter.

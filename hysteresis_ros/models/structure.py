@@ -42,8 +42,10 @@ from hysteresis_ros.models.linear_algebra import product, solve
 
 #: Maximum number of inputs and of outputs.
 MOST_CHANNELS = 16
-#: Maximum number of fixed-point iterations for a steady state, and relative change below which they have converged.
-REST_STEPS, REST_CHANGE = 1000, 1e-13
+#: Maximum number of fixed-point iterations for a steady state.
+REST_STEPS = 1000
+#: Relative change up to which the iterations have converged.
+REST_CHANGE = 1e-13
 
 # Layout of p: the sizes; for each row of A, the index of the first nonzero column and one plus the index of the last
 # nonzero column; then the matrices, row by row, in the order A, B, B_w, C, D, C_z, g, radii, weights.
