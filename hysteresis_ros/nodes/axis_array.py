@@ -49,12 +49,16 @@ from hysteresis_ros.units import micrometres
 #: Topics of the array.
 SETPOINTS, VOLTAGES, JOINT_STATES = "setpoints", "voltages", "joint_states"
 _ARRAY, _JOINTS, _TEXT = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
-#: Lockstep: number of samples after which the array waits for acknowledgements, and longest duration of one wait [s].
-STRIDE, ACKNOWLEDGED = 64, 0.1
+#: In lockstep, the array waits for acknowledgements each time after this number of samples.
+STRIDE = 64
+#: Longest duration of one wait for acknowledgements [s].
+ACKNOWLEDGED = 0.1
 #: Real time: delay [periods] above which the schedule is shifted; the array catches up on smaller delays.
 FAR_BEHIND = 10.0
-#: Interval between checks while the array is paused, and between checks of the bag [s].
-PAUSE, TEND = 0.01, 0.1
+#: Interval between checks while the array is paused, or waits for other nodes [s].
+PAUSE = 0.01
+#: Interval between checks of the bag [s].
+TEND = 0.1
 
 
 class ArrayRunner(RealTime):

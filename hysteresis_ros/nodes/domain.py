@@ -25,8 +25,10 @@ from collections.abc import Iterator
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Environment variables of the discovery range; the second one is deprecated.
-RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
+#: Environment variable of the discovery range.
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+#: Deprecated environment variable of the discovery range.
+LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
 
 #: Environment variable with the addresses of further machines to discover.
 STATIC_PEERS = "ROS_STATIC_PEERS"

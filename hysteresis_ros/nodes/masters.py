@@ -198,11 +198,15 @@ class IdentifiedSubscription(Waitable):
 #: Default time-out of an input [s].
 PATIENCE = 1.0
 
-#: Interval between checks whether this process was halted [s], and delay of a check that shows this [intervals].
-LOOK, LATE = 0.01, 3.0
+#: Interval between checks whether this process was halted [s].
+LOOK = 0.01
+#: Time between two checks beyond which this process was halted, if half of the patience is not longer [intervals].
+LATE = 3.0
 
-#: Time to discover nodes of other machines, and interval between checks for competing nodes [s].
-DISCOVERY, TURN = 2.0, 0.05
+#: Time to discover nodes of other machines [s].
+DISCOVERY = 2.0
+#: Interval between checks for competing nodes [s].
+TURN = 0.05
 
 #: Interval between two reports of refused messages [s].
 TELL = 10.0

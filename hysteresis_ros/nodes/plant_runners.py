@@ -50,16 +50,21 @@ READERS = 3
 #: Delay [periods] above which the schedule is shifted; the loop catches up on smaller delays.
 FAR_BEHIND = 10.0
 
-#: Time without a voltage after which no voltage is pending: the longer of ALIGN_QUIET [s] and ALIGN_PERIODS periods;
-#: the maximum wait is ALIGN_PATIENCE times this time.
-ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
+#: After this time without a voltage [s], no voltage is pending, unless ALIGN_PERIODS periods are longer.
+ALIGN_QUIET = 0.1
+#: After this number of periods without a voltage, no voltage is pending, unless ALIGN_QUIET is longer.
+ALIGN_PERIODS = 3.0
+#: The maximum wait is this multiple of the longer of both times.
+ALIGN_PATIENCE = 5.0
 
 #: Nodes whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
 
-#: After a node has joined the loop, voltages are counted again when SETTLED consecutive samples have been answered, at
-#: the latest after LONGEST_SETTLING samples.
-SETTLED, LONGEST_SETTLING = 10, 100
+#: After a node has joined the loop, voltages are counted again when this number of consecutive samples has been
+#: answered.
+SETTLED = 10
+#: After a node has joined the loop, voltages are counted again after this number of samples at the latest.
+LONGEST_SETTLING = 100
 
 #: Number of samples whose publication time is stored.
 PUBLISHED = 1024

@@ -39,10 +39,18 @@ from hysteresis_ros.units import micrometres, readable
 if TYPE_CHECKING:
     from hysteresis_ros.loop.ready import Predictor
 
-#: Service that takes a setpoint with a tolerance, and the names of the numbers in its request.
-MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
-#: Time for which the reference must rest before the noise is measured [s], and number of samples per evaluation.
-REST, BLOCK = 0.05, NoiseMeter.BLOCK
+#: Name of the service that takes a setpoint with a tolerance.
+MOVE = "move"
+#: Name of the setpoint in a request of this service.
+SETPOINT = "setpoint"
+#: Name of the tolerance in a request.
+TOLERANCE = "tolerance"
+#: Name of the dwell time in a request.
+DWELL = "dwell"
+#: Time for which the reference must rest before the noise is measured [s].
+REST = 0.05
+#: Number of samples after which the noise is evaluated.
+BLOCK = NoiseMeter.BLOCK
 #: Maximum number of measurements of a move from which the predictor learns.
 MOST = 20_000
 #: Largest number of waiting jobs. If setpoints arrive faster than predictions are computed, some moves are not

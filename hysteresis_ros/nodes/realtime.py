@@ -54,10 +54,13 @@ UNDER_WAY = 2
 #: Queue depth of the presence messages.
 PRESENCES = 20
 
-#: Number of messages from which a partner that has sent no presence message can be lost; allowed silence [s] of a
-#: partner that has just started, because the nodes of an axis are still starting; and allowed silence of any partner
-#: [samples].
-AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
+#: Number of messages from which on a partner that has sent no presence message can be lost.
+AT_WORK = 10
+#: Allowed silence of a partner during its first messages, because the nodes of an axis are still starting, and duration
+#: of this start [s].
+STARTING = 2.0
+#: Silence that is always allowed [samples].
+LEAST_MISSED = 3
 
 #: Reason for the loss of a partner that has been replaced.
 ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not announced that it stops"

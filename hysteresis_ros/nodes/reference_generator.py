@@ -45,9 +45,11 @@ from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, ac
 from hysteresis_ros.references.moves import Settling
 from hysteresis_ros.references.waveforms.scan import clock_of
 
-#: Times after the first measurement [s]: to search for a controller, and to wait for a controller that is present but
-#: sends nothing because it is not active.
-CONTROLLER_LOOK, CONTROLLER_PATIENCE = 1.0, 5.0
+#: Time after the first measurement to search for a controller [s].
+CONTROLLER_LOOK = 1.0
+#: Time after the first measurement to wait for a controller that is present but sends nothing because it is not active
+#: [s].
+CONTROLLER_PATIENCE = 5.0
 
 #: Modes of a controller that follows its reference.
 LEADING_MODES = (RUNNING, HOLDING, FOLLOWING)
@@ -99,8 +101,10 @@ class Beginning:
         return self._known
 
 
-#: Time-out for the beginning of a run of given length, and interval between log messages while the run waits [s].
-START_PATIENCE, START_REPORT = 30.0, 5.0
+#: Time-out for the beginning of a run of given length [s].
+START_PATIENCE = 30.0
+#: Interval between log messages while the run waits [s].
+START_REPORT = 5.0
 
 #: Number of measurements from the completion of the loop to the first sample, in which the nodes match answers to
 #: measurements.
@@ -110,9 +114,10 @@ SETTLING_SAMPLES = Pairing.SUSPICION + 20
 #: source.
 END_GRACE = 0.5
 
-#: Number of stamps that determine the rate of the measurements, and its allowed relative deviation from
-#: ``sample_rate``.
-RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
+#: Smallest number of stamps that determine the rate of the measurements.
+RATE_STAMPS = 50
+#: Allowed deviation of this rate from ``sample_rate``, as a fraction of it.
+RATE_TOLERANCE = 0.1
 
 
 class ExternalRun:

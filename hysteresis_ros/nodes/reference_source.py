@@ -24,8 +24,10 @@ from hysteresis_ros.nodes.triggers import INPUT, TriggerTopic
 from hysteresis_ros.nodes.triggers import NAMES as TRIGGER_NAMES
 from hysteresis_ros.units import micrometres
 
-#: Interval of the check for missing samples, and time for which samples may be missing [s].
-LOOK, SILENCE = 0.1, 0.3
+#: Interval of the check for missing samples [s].
+LOOK = 0.1
+#: Time for which samples may be missing [s], unless three sample times are longer.
+SILENCE = 0.3
 
 
 def nanoseconds(stamp) -> int:
@@ -35,8 +37,10 @@ def nanoseconds(stamp) -> int:
 
 #: Queue depth of the accepted setpoints for a recorder.
 KEPT = 1000
-#: Service that takes a setpoint and replies, and the only parameter of its request.
-SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
+#: Service that takes a setpoint and replies.
+SET_SETPOINT = "set_setpoint"
+#: The only parameter of a request of this service.
+ARGUMENT = "setpoint"
 
 
 class ReferenceSource(Responder):

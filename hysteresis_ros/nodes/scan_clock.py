@@ -28,8 +28,10 @@ from hysteresis_ros.references.scan import Marks
 from hysteresis_ros.references.scan_clock import ScanClock
 from hysteresis_ros.signals import WAVEFORM_SAMPLE
 
-#: Name of the topic, in the namespace of the axis or of the stage, and its queue depth.
-TOPIC, KEPT = "scan_clock", 1000
+#: Name of the topic, in the namespace of the axis or of the stage.
+TOPIC = "scan_clock"
+#: Queue depth of the topic.
+KEPT = 1000
 #: Contents of ``position``: numbers of the frame, line and pixel that begin (-1: none begins), direction (1:
 #: trace, -1: retrace, 0: a frame), and the time from the exact beginning to the stamp [s].
 NAMES = ("frame", "line", "pixel", "direction", "delay")

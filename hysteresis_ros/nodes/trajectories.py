@@ -34,8 +34,10 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.references.moves import Ending, Move, Tolerances
 from hysteresis_ros.references.trajectory import MOST_POINTS
 
-#: Interval of the check whether samples are missing during a move, and time for which they may be missing [s].
-LOOK, SILENCE = 0.1, 1.0
+#: Interval of the check whether samples are missing during a move [s].
+LOOK = 0.1
+#: Time for which samples may be missing during a move [s].
+SILENCE = 1.0
 
 #: Topics of trajectories: one in the namespace of the axis, and one to which tools of ros2_control send.
 TOPICS = ("joint_trajectory", "~/joint_trajectory")

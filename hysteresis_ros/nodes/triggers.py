@@ -20,8 +20,12 @@ from sensor_msgs.msg import JointState
 from hysteresis_ros import signals
 from hysteresis_ros.nodes.qos import loop_qos
 
-#: Topic of the triggers of an axis, its queue depth, and topic of the pulses of its trigger input.
-TOPIC, KEPT, INPUT = "trigger_out", 1000, "trigger_in"
+#: Topic of the triggers of an axis.
+TOPIC = "trigger_out"
+#: Queue depth of the topic of the triggers.
+KEPT = 1000
+#: Topic of the pulses of the axis' trigger input.
+INPUT = "trigger_in"
 #: Contents of ``position``: number of the trigger (from 1), position of the axis [m], direction of motion (1: up, -1:
 #: down), time from the trigger to the stamp [s], and number of triggers since the previous message that were lost
 #: because they followed each other too fast.
