@@ -45,9 +45,12 @@ from hysteresis_ros.recordings.bag_format import (
     records_in,
 )
 
-#: Unpacked size that is always allowed for a chunk [bytes]; largest compression ratio of larger chunks; number of bytes
-#: unpacked at a time.
-SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
+#: Unpacked size that is always allowed for a chunk [bytes].
+SMALL = 1 << 24
+#: Largest compression ratio of larger chunks.
+RATIO = 200
+#: Largest number of bytes that are unpacked at a time.
+PART = 1 << 20
 
 
 @dataclass
@@ -335,8 +338,10 @@ def _described(name: str, connection: sqlite3.Connection) -> FileInformation:
     return found
 
 
-#: Suffixes of bag files, and the suffix that ``ros2 bag record`` adds to compressed files.
-ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"
+#: Suffixes of bag files.
+ENDINGS = (".mcap", ".db3")
+#: Suffix that ``ros2 bag record`` adds to compressed files.
+COMPRESSED = ".zstd"
 #: Number of bytes that are decompressed at a time.
 PIECE = 1 << 20
 

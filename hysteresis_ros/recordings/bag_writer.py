@@ -59,9 +59,10 @@ from hysteresis_ros.recordings.bag_format import (
 )
 from hysteresis_ros.recordings.cdr import MessageForm
 
-#: MCAP metadata record with a copy of metadata.yaml, as ``ros2 bag`` writes it: name of the record, and key of the
-#: copy.
-ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
+#: Name of the MCAP metadata record with a copy of metadata.yaml, as ``ros2 bag`` writes it.
+ROSBAG2 = "rosbag2"
+#: Key of the copy in this record.
+SERIALISED = "serialized_metadata"
 
 
 class Frames:

@@ -22,8 +22,10 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
-#: A recording may last SMALL sample times plus RATIO sample times for each of its samples.
-SMALL, RATIO = 1_000_000, 100
+#: A recording must last less than this number of sample times, plus RATIO sample times for each of its samples.
+SMALL = 1_000_000
+#: Number of sample times that each sample adds to the allowed duration of a recording.
+RATIO = 100
 #: Source of the recording of an offline run, in its metadata.
 SIMULATED = "offline simulation"
 #: Names of the figures for the lateness of samples, with their percentiles [%].

@@ -392,15 +392,20 @@ def _numbers(lines, layout, wanted, line_number, damaged):
 
 #: Length of the header before the first element [bytes]; the last four bytes are version and byte order.
 HEADER = 128
-#: Byte order by the last four bytes of the header; last four bytes of the header of HDF5 files (since MATLAB 7.3).
-ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
+#: Byte order by the last four bytes of the header.
+ORDERS = {b"\0\1IM": "<", b"\1\0MI": ">"}
+#: Last four bytes of the header of HDF5 files (since MATLAB 7.3).
+HDF5 = (b"\0\2IM", b"\2\0MI")
 #: Types of elements; the last entry has all valid types.
 INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
 #: Classes of arrays: cells, structures, objects, texts, sparse, functions, opaque; all others are numerical.
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-#: Largest depth of nested elements; unpacked size that is always allowed [bytes]; largest compression ratio of larger
-#: content.
-DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
+#: Largest depth of nested elements.
+DEEPEST = 20
+#: Unpacked size that is always allowed [bytes].
+SMALL = 1 << 26
+#: Largest compression ratio of larger content.
+RATIO = 100
 
 
 def is_hdf5(content: bytes) -> bool:

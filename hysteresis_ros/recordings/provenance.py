@@ -94,11 +94,15 @@ def _parsed(text: str) -> Configuration | None:
         return None
 
 
-#: Name of the metadata record with files, and file size [bytes] above which it contains only a digest.
-FILES, LARGEST = "hysteresis_ros files", 2**20
+#: Name of the metadata record with files.
+FILES = "hysteresis_ros files"
+#: File size above which this record contains only a digest [bytes].
+LARGEST = 2**20
 
-#: Prefixes of an entry: the whole content follows, or its SHA-256.
-WHOLE, DIGEST = "base64:", "sha256:"
+#: Prefix of an entry with the whole content.
+WHOLE = "base64:"
+#: Prefix of an entry with the SHA-256 of the content.
+DIGEST = "sha256:"
 
 
 def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
