@@ -163,9 +163,10 @@ class ReadyParameters(Parameters):
     )
 
 
-#: Of normally distributed values, 99 % are within BOTH_SIDES standard deviations of their mean, and 99 % are less than
-#: ONE_SIDE standard deviations above it.
-BOTH_SIDES, ONE_SIDE = 2.576, 2.326
+#: Of normally distributed values, 99 % are within this number of standard deviations of their mean.
+BOTH_SIDES = 2.576
+#: Of normally distributed values, 99 % are less than this number of standard deviations above their mean.
+ONE_SIDE = 2.326
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,10 @@ from hysteresis_ros.references.declaration import PREFIX
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Duration of a transition between two levels, and of the pause before and after the measurement [s].
-WAY, REST = 0.5, 0.5
+#: Duration of a transition between two levels [s].
+WAY = 0.5
+#: Duration of the pause before the measurement, and of the pause after it [s].
+REST = 0.5
 
 
 def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
@@ -73,9 +75,12 @@ def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
 
 #: Number of peaks of the recipe ``triangles``, and number of levels of the recipe ``steps``.
 PEAKS = 20
-#: Recipe ``decaying``: number of cycles over the whole range, number of decaying cycles, and number of cycles after
-#: which the amplitude has fallen to 1/e.
-WHOLE_CYCLES, DECAYING_CYCLES, DECAY_CYCLES = 2, 20, 5.0
+#: Number of cycles over the whole range in the recipe ``decaying``.
+WHOLE_CYCLES = 2
+#: Number of decaying cycles in the recipe ``decaying``.
+DECAYING_CYCLES = 20
+#: Number of cycles after which the amplitude has fallen to 1/e in the recipe ``decaying``.
+DECAY_CYCLES = 5.0
 LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
 #: Peak of small excitations as a fraction of the range; large excitations use the whole range.
 SMALL = 0.1
@@ -429,9 +434,11 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     return [number * allowed[unit] for number, unit in found]
 
 
-#: Parameters of the motion controller for measurements: UNFED switches the feedforward off, PLAYED the learning; OPEN
-#: outputs the reference unchanged.
-UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
+#: Parameters of the motion controller for measurements that switch the feedforward off.
+UNFED = {"feedforward__type": "none", "feedforward__preview": 0}
+#: Parameters of the motion controller for measurements that switch the learning off.
+PLAYED = {"learning__type": "none"}
+#: Parameters of the motion controller for measurements with which it outputs the reference unchanged.
 OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
 

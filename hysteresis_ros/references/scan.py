@@ -44,10 +44,14 @@ ORDERS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"), ("j
 EDGE = 1e-6
 #: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
-#: Desired and smallest number of points per pass for the computation of harmonics, and bounds of the number per period.
-#: The smallest number per pass takes precedence over the upper bound per period.
-POINTS, FEW_POINTS = 1024, 64
-LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
+#: Desired number of points per pass for the computation of harmonics.
+POINTS = 1024
+#: Smallest number of points per pass, even if a period then has more than MOST_POINTS points.
+FEW_POINTS = 64
+#: Smallest number of points per period for the computation of harmonics.
+LEAST_POINTS = 1 << 15
+#: Largest number of points per period, unless FEW_POINTS points per pass are more.
+MOST_POINTS = 1 << 19
 #: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The remaining motion has at most 1 % of the total
 #: RMS.
 OCCUPIED = 0.9999

@@ -25,9 +25,10 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.references.scan import EDGE, Marks, Scan, frame_marks, line_marks, pixel_marks
 from hysteresis_ros.signals import Edge
 
-#: Largest number of periods that together make a whole number of samples; and largest distance [samples] by which the
-#: sample that counts as the end of a path may precede this end.
-MOST_PERIODS, WHOLE = 1000, 1e-6
+#: Largest number of periods that together make a whole number of samples.
+MOST_PERIODS = 1000
+#: Largest distance by which the sample that counts as the end of a path may precede this end [samples].
+WHOLE = 1e-6
 #: Levels of a clock; each level includes the coarser ones.
 LEVELS = ("none", "frame", "line", "pixel")
 _MARKS = {Edge.FRAME: frame_marks, Edge.LINE: line_marks, Edge.PIXEL: pixel_marks}

@@ -34,9 +34,10 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 #: Largest number of positions or times.
 MOST = 100_000
-#: Distance after which a position is armed again: as a fraction of the smallest distance between two positions or, for
-#: a single position, of the range.
-ARMED_PART, ARMED_RANGE = 0.25, 0.01
+#: Distance after which a position is armed again, as a fraction of the smallest distance between two positions.
+ARMED_PART = 0.25
+#: Distance after which a single position is armed again, as a fraction of the range.
+ARMED_RANGE = 0.01
 #: Largest number of samples of a waveform that are searched for its longest path in a sample.
 SEARCHED = 2**18
 #: Actions of the trigger input.
@@ -293,8 +294,10 @@ REARM, SAMPLE_TIME, SPACING, BIT, ACTION, DISTANCE, LOWEST, HIGHEST = range(8)
 ABOVE, BELOW, LAST, BEFORE, OLDER, KNOWN, AGE, NUMBER, SINCE, NEXT, PASSED = range(11)
 IN_FORCE, GIVEN, TARGET, REFUSED = range(11, 15)
 STATES = 15
-#: Largest number of iterations for the instant of an event, and change (fraction of a sample) at which they end.
-ITERATIONS, CLOSE = 50, 1e-14
+#: Largest number of iterations for the instant of an event.
+ITERATIONS = 50
+#: Change of the instant below which the iterations end, as a fraction of a sample.
+CLOSE = 1e-14
 
 
 class TriggerArrays(NamedTuple):

@@ -45,8 +45,10 @@ from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
 #: Number of points per part of a frame (core, spiral, rim) for the search of the derivatives' largest magnitudes.
 LOOKS = 4000
-#: Number of points of the table for an initial estimate of the angle, and number of the following Newton steps.
-TABLE, STEPS = 4000, 3
+#: Number of points in each of the three parts of the table for an initial estimate of the angle.
+TABLE = 4000
+#: Number of Newton steps after this estimate.
+STEPS = 3
 
 
 @dataclass(frozen=True)
