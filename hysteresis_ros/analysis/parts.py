@@ -494,7 +494,7 @@ def step_figures(time, reference, displacement) -> dict:
 
 #: A span is disturbed if its median squared error exceeds that of undisturbed samples by more than this fraction.
 EXCESS = 0.1
-#: Smallest part of the samples with an error that must remain for the comparison, as a fraction.
+#: Smallest fraction of the samples with an error that must remain for the comparison.
 COMPARED = 0.1
 #: Shortest disturbed span [samples], because a voltage acts only after the delay of the axis.
 SHORTEST_SPAN = 4
