@@ -163,9 +163,14 @@ def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> P
     return plan
 
 
-#: Files in the folder: origin (parameter file and bench), identified axis, axis with a controller, axis that also
-#: learns.
-STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
+#: File in the folder with the origin: parameter file and bench.
+STATE = "state.json"
+#: File in the folder with the identified axis.
+IDENTIFIED = "identified.yaml"
+#: File in the folder with the axis with a controller.
+COMMISSIONED = "commissioned.yaml"
+#: File in the folder with the axis that also learns.
+LEARNING = "learning.yaml"
 
 
 class Folder:
