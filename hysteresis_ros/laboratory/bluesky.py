@@ -53,7 +53,7 @@ from hysteresis_ros.laboratory.epics.record import Alarm, RecordOptions, motor_s
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
-#: Interval at which a move is checked [s].
+#: Interval at which a move, and the answers of the axis, are checked [s].
 LOOK = 0.005
 #: Interval at which the progress of a move is reported to watchers [s].
 TELL = 0.1

@@ -186,7 +186,7 @@ WARM_UP = 40
 BATCH = 32
 #: Number of training steps.
 STEPS = 600
-#: Learning rate at the first step, from which it falls to zero.
+#: Initial learning rate, which falls to zero during the training.
 RATE = 1e-2
 
 

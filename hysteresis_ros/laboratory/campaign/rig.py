@@ -151,7 +151,7 @@ class Group:
 ROOM = 1024
 #: Time in which an emulated device must start [s].
 DEVICE_START = 60.0
-#: Polling interval while an emulated device starts [s].
+#: Polling interval while an emulated device starts, and time-out of each attempt to connect to it [s].
 DEVICE_LOOK = 0.05
 #: Code that Python runs first in a process with an adjustable time of day.
 TIME_OF_DAY = """import os, struct, time

@@ -43,9 +43,12 @@ from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 from hysteresis_ros.recordings.dataset import Recording
 
 # Published values in the abstract.
-INTEGRAL_BANDWIDTH, INTEGRAL_MARGIN = 15.0, 2.0  # Hz, dB: integral control
-BANDWIDTH, MARGIN = 490.0, 7.0  # Hz, dB: damping and tracking
-RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass, same gains
+INTEGRAL_BANDWIDTH = 15.0  # bandwidth with integral control [Hz]
+INTEGRAL_MARGIN = 2.0  # gain margin with integral control [dB]
+BANDWIDTH = 490.0  # bandwidth with damping and tracking [Hz]
+MARGIN = 7.0  # gain margin with damping and tracking [dB]
+RESONANCE = 934.0  # [Hz]
+LOWERED = 140.0  # resonance with added mass, with the same gains [Hz]
 TIMES = 10.0  # "greater than 10 times"
 LINES = 31.0  # lines per second of the images
 
