@@ -678,8 +678,8 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 #: Sample rate in wall-clock time up to which nodes that exchange messages are almost always in time [Hz]: 0.25 % of the
 #: voltages are late, docs/real_time.md.
 MESSAGE_RATE = 300.0
-#: Sample rate in wall-clock time above which such a loop is refused [Hz]: at this rate, 3 to 12 % of the voltages are
-#: late.
+#: Sample rate in wall-clock time above which a loop of nodes that exchange messages is refused [Hz]: at this rate, 3 to
+#: 12 % of the voltages are late.
 HIGHEST_MESSAGE_RATE = 1000.0
 #: Maximum number of samples of a run; a counter in double precision is not exact for more samples.
 COUNTABLE = 2.0**53
