@@ -56,8 +56,8 @@ PRESENCES = 20
 
 #: Number of messages from which on a partner that has sent no presence message can be lost.
 AT_WORK = 10
-#: Allowed silence of a partner during its first messages, because the nodes of an axis are still starting, and duration
-#: of this start [s].
+#: Allowed silence [s] of a partner whose messages span less than this time, because the nodes of an axis are still
+#: starting.
 STARTING = 2.0
 #: Silence that is always allowed [samples].
 LEAST_MISSED = 3
