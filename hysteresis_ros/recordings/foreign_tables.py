@@ -396,8 +396,10 @@ HEADER = 128
 ORDERS = {b"\0\1IM": "<", b"\1\0MI": ">"}
 #: Last four bytes of the header of HDF5 files (since MATLAB 7.3).
 HDF5 = (b"\0\2IM", b"\2\0MI")
-#: Types of elements; the last entry has all valid types.
-INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
+#: Types of elements that are treated separately.
+INT32, UINT32, MATRIX, COMPRESSED = 5, 6, 14, 15
+#: All valid types of elements.
+TYPES = (*range(1, 8), 9, *range(12, 19))
 #: Classes of arrays: cells, structures, objects, texts, sparse, functions, opaque; all others are numerical.
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 #: Largest depth of nested elements.
