@@ -96,8 +96,11 @@ def check_reach(axis: AxisParameters) -> None:
         raise ParameterError(problems)
 
 
-def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return the warnings about an axis: parameters of its nodes, setpoints that saturate, fast waveforms."""
+def reach_warnings(axis: AxisParameters, reach: tuple[float, float] | None = None) -> tuple[str, ...]:
+    """Return the warnings about an axis: parameters of its nodes, setpoints that saturate, fast waveforms.
+
+    ``reach`` is the range of its setpoints [m]; by default that of its own actuator.
+    """
     parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
     found = [
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
@@ -105,7 +108,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     if axis.inchworm_sequencer is not None:
         return (*found, *inchworm_warnings(axis.plant_simulator, axis.inchworm_sequencer))
     given = part(axis.generator, ReferenceParameters)
-    low, high = reachable_displacements(axis)
+    low, high = reach or reachable_displacements(axis)
     slack = TOLERANCE * (high - low)
     for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):
         if beyond:

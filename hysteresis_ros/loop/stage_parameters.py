@@ -30,7 +30,7 @@ from hysteresis_ros.control.feedforward import LONGEST_PREVIEW
 from hysteresis_ros.control.state_feedback import full_rank
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, in_time, part
-from hysteresis_ros.loop.reach import check_reach, reach_warnings
+from hysteresis_ros.loop.reach import check_reach, reach_warnings, reachable_displacements
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.compensator import resting_displacements
 from hysteresis_ros.models.linear import StateSpace
@@ -464,7 +464,18 @@ class StageParameters:
 
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence per warning about the axes."""
-        return tuple(f"{axis.namespace}/{text}" for axis in self.axes for text in reach_warnings(axis))
+        each = zip(self.axes, self._reach(), strict=True)
+        return tuple(f"{axis.namespace}/{text}" for axis, reach in each for text in reach_warnings(axis, reach))
+
+    def _reach(self) -> list[tuple[float, float]]:
+        """Return the range of the setpoint [m] of each axis: what the actuators reach at rest, wherever the others are.
+
+        A decoupling distributes each setpoint over the actuators.
+        """
+        shares = self.recoupling()
+        low, high = np.array([reachable_displacements(axis) for axis in self.axes]).T
+        least, most = np.minimum(shares * low, shares * high), np.maximum(shares * low, shares * high)
+        return list(zip(least.sum(axis=1).tolist(), most.sum(axis=1).tolist(), strict=True))
 
     def travel(self) -> np.ndarray:
         """Return the allowed range of the measurement [m] of each axis, shape (n, 2).

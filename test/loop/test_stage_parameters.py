@@ -202,3 +202,11 @@ def test_the_decoupling_of_the_file_is_the_inverse_of_its_static_gain():
     np.testing.assert_allclose(stage.matrix("decoupling"), static_decoupling(gain), rtol=1e-8)
     turns = np.sort(np.abs(np.angle(stage.structure.linear.poles)))[::2] / (2.0 * np.pi)
     np.testing.assert_allclose(turns * 1e4, [700.0, 800.0], rtol=1e-4)
+
+
+@pytest.mark.parametrize(("maximum", "warned"), [(55e-6, False), (75e-6, True)])
+def test_the_range_of_a_setpoint_is_what_the_actuators_reach_together(maximum, warned):
+    """Both actuators of 50 µm move the axis x: it reaches 70 µm, and one of them alone 50 µm."""
+    shared = np.linalg.inv([[1.0, 0.4], [0.4, 1.0]]).ravel().tolist()
+    stage = read(stage={"decoupling": shared}, **{"x/reference_generator": {"maximum": maximum}})
+    assert sum("maximum" in text and text.startswith("/x/") for text in stage.warnings()) == warned
