@@ -72,6 +72,8 @@ class Axis:
         self.compensator = CompensatorPart(parameters.hysteresis_compensator)
         if self.plant.begins_safe or parameters.plant_simulator.time_mode == "fused":
             self.compensator.follow_plant(self.plant.rounding, self.plant.begins_safe)
+        if self.plant.begins_safe:
+            self.controller.begin_at(self.compensator.resting_displacement)
         self.sample = 0
 
     @property

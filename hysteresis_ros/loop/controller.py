@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -118,7 +119,7 @@ NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force
 
 # Own state.
 STOP = 0  # 1 while stopped
-RETURNING = 1  # 1: restart the controller with the next sample; its command continues from the last command
+RETURNING = 1  # 1: restart the controller with the next sample, from the last command; AT_SAFE_VOLTAGE
 ON_PATH = 2  # 1 while the reference fades from the displacement to the received reference
 UNANSWERED = 3  # samples since the last achieved command
 ANSWERED = 4  # 1 after the first achieved command
@@ -126,7 +127,13 @@ REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; with active damping this is the output of the damping, not of the law
 OFFSET_LEFT = 7  # difference from the offset before a change, decaying to zero [m]
 FORCE = 8  # measured force of the last sample [N]
+ACHIEVED = 9  # last achieved command [m]
 # the state of :mod:`.quiet` follows
+
+#: Value of RETURNING from a stop by the plant on, in which the voltage goes to its safe value by itself. The command is
+#: then the achieved one until the controller restarts: from any other command the voltage would begin with a bias, and
+#: the controller would take the difference between command and achieved command for a saturation.
+AT_SAFE_VOLTAGE = 2.0
 
 #: Smaller offsets count as zero [m].
 NO_OFFSET = 1e-18
@@ -285,7 +292,12 @@ def control(laws, arrays, row):
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode != HOLDING:
         command = towards(command, resting_place(own_p, own, mode, value), own_p[SAFE_STEP])
-        own[RETURNING] = 1.0
+        if mode == TRIPPED:
+            own[RETURNING] = AT_SAFE_VOLTAGE
+        if own[RETURNING] == AT_SAFE_VOLTAGE and own[ANSWERED] != 0.0:
+            command = own[ACHIEVED]
+        else:
+            own[RETURNING] = 1.0
     else:
         follow_while_holding(arrays.p, arrays.x, own, wanted)
     own[UNANSWERED] += 1.0
@@ -311,6 +323,7 @@ def carried_out(arrays, applied):
     heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
     if heard - heard == 0.0:
         arrays.x.controller[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, heard)
+        own[ACHIEVED] = heard
         own[UNANSWERED] = 0.0
         own[ANSWERED] = 1.0
 
@@ -338,6 +351,7 @@ class ControllerPart:
         self._watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(quieting.OWN_STATES))
         self._pack_own(parameters)
         self._connect()
+        self._resting_displacement: Callable[[], float] | None = None
 
     @staticmethod
     def _guard(parameters) -> np.ndarray:
@@ -410,7 +424,7 @@ class ControllerPart:
     def start(self) -> None:
         """Continue without a jump."""
         self._watch_x.own[STOP] = 0.0
-        self._watch_x.own[RETURNING] = 1.0
+        self._watch_x.own[RETURNING] = self._watch_x.own[RETURNING] or 1.0
 
     def quiet(self, duration: float) -> None:
         """Hold the command constant for ``duration`` [s], beginning after twice ``quiet.average``; 0 ends a hold."""
@@ -437,6 +451,21 @@ class ControllerPart:
         """Write the learned correction to a file."""
         write_learned(path, self.learning.learned(), configuration)
 
+    def begin_at(self, resting_displacement: Callable[[], float]) -> None:
+        """Begin, also after a reset, with the displacement [m] at the safe voltage as achieved command.
+
+        Otherwise the voltage would begin with a bias, as after a stop by the plant (:func:`control`).
+        """
+        self._resting_displacement = resting_displacement
+        self._return_to_rest()
+
+    def _return_to_rest(self) -> None:
+        if self._resting_displacement is None:
+            return
+        own, command = self._watch_x.own, self._resting_displacement()
+        own[COMMANDED], own[RETURNING] = command, AT_SAFE_VOLTAGE
+        interpreted(carried_out)(self.arrays, command)
+
     def reset(self) -> None:
         """Return to the state of rest."""
         for block in self._blocks:
@@ -446,6 +475,7 @@ class ControllerPart:
         self._watch_x.faults[:] = faulty.fault_state(self._watch_p.faults)
         self._watch_x.own[:] = 0.0
         self._watch_x.own[STOP] = stopped
+        self._return_to_rest()
 
     def retune(self, parameters: ControllerNodeParameters) -> None:
         """Apply new gains, or another type of controller; the command continues without a jump."""

@@ -52,17 +52,17 @@ ON_PULSE = 9  # length of a hold that a pulse of the trigger input begins [sampl
 OWN_PARAMETERS = 10
 
 # Own state of the controller's part, after the state of :mod:`.controller`.
-AHEAD = 9  # samples until the command is constant
-LEFT = 10  # samples until the hold ends
-SUM = 11  # sum of command minus reference over COUNT samples [m]
-COUNT = 12
-COMMAND = 13  # the constant command [m]
-REFERENCE = 14  # last reference [m]
-AT_REST = 15  # 1 while the reference has not moved since the request
-CONTINUES = 16  # 1: the controller continues with the states that it had before the hold
-SEEN = 17  # mean of the last measurements in the hold [m]
-SEEN_COUNT = 18  # number of these measurements, at most AVERAGED
-OWN_STATES = 19
+AHEAD = 10  # samples until the command is constant
+LEFT = 11  # samples until the hold ends
+SUM = 12  # sum of command minus reference over COUNT samples [m]
+COUNT = 13
+COMMAND = 14  # the constant command [m]
+REFERENCE = 15  # last reference [m]
+AT_REST = 16  # 1 while the reference has not moved since the request
+CONTINUES = 17  # 1: the controller continues with the states that it had before the hold
+SEEN = 18  # mean of the last measurements in the hold [m]
+SEEN_COUNT = 19  # number of these measurements, at most AVERAGED
+OWN_STATES = 20
 
 
 @dataclass(frozen=True)
