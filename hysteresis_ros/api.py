@@ -19,13 +19,14 @@ from __future__ import annotations
 import os
 import pathlib
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hysteresis_ros.arguments import Seconds, checked
 from hysteresis_ros.configuration import (
     SUFFIXES,
     Configuration,
@@ -43,9 +44,8 @@ from hysteresis_ros.errors import (
     ConfigurationError,
     HysteresisError,
     MissingExtraError,
-    ParameterError,
-    Problem,
     did_you_mean,
+    shortened,
 )
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import (
@@ -76,7 +76,7 @@ from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.references.scan import Scan
 from hysteresis_ros.references.scans import scan_words
 from hysteresis_ros.registry import samples as samples_of
-from hysteresis_ros.units import figure_name, quantity_in, readable
+from hysteresis_ros.units import figure_name, readable
 
 if TYPE_CHECKING:
     import pandas
@@ -599,6 +599,7 @@ def configurations() -> tuple[str, ...]:
     return tuple(sorted(shipped_configurations()))
 
 
+@checked
 def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Configuration | Run:
     """Read a configuration or a recording; the suffix decides which.
 
@@ -650,7 +651,7 @@ def simulate(  # numpydoc ignore=PR01
     speeds: ArrayLike | None = None,
     faults: Faults = (),
     scan: Scan | None = None,
-    quiet: Sequence[str | Sequence[float]] = (),
+    quiet: Sequence[str | Sequence[float | str]] = (),
     namespace: str | None = None,
     axes: None = None,
 ) -> Run:
@@ -672,16 +673,17 @@ def simulate(  # numpydoc ignore=PR01
     """Run many independent axes."""
 
 
+@checked
 def simulate(
     config: Source,
     *,
-    duration: float | str | None = None,
+    duration: Seconds | None = None,
     setpoints: ArrayLike | Mapping[str, ArrayLike] | None = None,
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
     faults: Faults = (),
     scan: Scan | None = None,
-    quiet: Sequence[str | Sequence[float]] = (),
+    quiet: Sequence[str | Sequence[float | str]] = (),
     namespace: str | None = None,
     axes: int | None = None,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
@@ -716,7 +718,7 @@ def simulate(
         its configuration. :func:`report` then evaluates the scan.
     quiet : sequence of tuple or str, optional
         Quiet holds of an axis: ``(start, duration)`` in seconds, optionally with the largest drift [m] as a third
-        number, or a text such as ``"1s:500ms:5nm"``.
+        number (each may be a text with its unit), or a text such as ``"1s:500ms:5nm"``.
     namespace : str, optional
         The axis to use, if a configuration contains several; for a stage, the axis in which faults are injected.
     axes : int, optional
@@ -750,7 +752,6 @@ def simulate(
     ((30,), 'm')
     """
     configuration, words = configuration_of(config), _words(faults)
-    duration = None if duration is None else _seconds("duration", duration)
     if quiet and (axes is not None or configuration.stage is not None):
         raise ConfigurationError("quiet is for a single axis: leave it out")
     if axes is not None:
@@ -767,8 +768,7 @@ def simulate(
     if scan is not None:
         configuration = with_scan(configuration, *scan_words(scan))
     if configuration.stage is not None:
-        if requests is not None or speeds is not None:
-            raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
+        _refuse_motor_requests("stage", requests, speeds)
         if setpoints is not None and not isinstance(setpoints, Mapping):
             raise ConfigurationError('setpoints of a stage need the names of its axes: give {"x": …, "y": …}')
         stage = chosen_stage(configuration, words, namespace)
@@ -782,6 +782,8 @@ def simulate(
     if isinstance(setpoints, Mapping):
         raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one array")
     axis = single_axis(configuration, namespace)
+    if axis.inchworm_sequencer is None:
+        _refuse_motor_requests("piezo axis", requests, speeds)
     if words:
         axis = axis.with_faults(words)
     _warn(reach_warnings(axis))
@@ -791,6 +793,12 @@ def simulate(
     )
     _warn(unreached(words, len(run), axis.plant_simulator.sample_rate))
     return Run.of(run)
+
+
+def _refuse_motor_requests(kind: str, *given: ArrayLike | None) -> None:
+    """Refuse requests to the sequencer of an inchworm, which a ``kind`` of axis does not have."""
+    if any(one is not None for one in given):
+        raise ConfigurationError(f"requests and speeds are for an inchworm, and this is a {kind}: leave them out")
 
 
 def _run_of_array(array: AxisArray, setpoints: ArrayLike | None, duration: float | None) -> ArrayRun:
@@ -804,22 +812,15 @@ def _run_of_array(array: AxisArray, setpoints: ArrayLike | None, duration: float
 
 def _words(faults: Faults) -> tuple[str, ...]:
     """Return faults as texts; a single fault is a sequence of one."""
+    if isinstance(faults, type) or not isinstance(faults, (Fault, Iterable, type(None))):
+        raise ConfigurationError(f"faults = {shortened(faults)}: must be a fault such as 'stale:0.1:0.3', or a list")
     return tuple(map(str, [faults] if isinstance(faults, (str, Fault)) else faults or ()))
 
 
 def _warn(texts: Iterable[str]) -> None:
-    """Issue Python warnings that name the line of the caller of this module."""
+    """Issue Python warnings that name the line of the caller of this module, outside :func:`.checked`."""
     for text in texts:
-        warnings.warn(text, stacklevel=3)
-
-
-def _seconds(name: str, value: Any) -> float:
-    """Return a time [s], given as a number or as a text with its unit such as ``100ms``."""
-    try:
-        return quantity_in(value, "s") if isinstance(value, str) else float(value)
-    except (TypeError, ValueError):
-        remedy = "must be a number of seconds, or a text with its unit such as '100ms'"
-        raise ParameterError([Problem(name, value, remedy)]) from None
+        warnings.warn(text, stacklevel=4)
 
 
 def _setpoints(name: str, values: Any, axis: AxisParameters) -> np.ndarray:
@@ -831,6 +832,7 @@ def _setpoints(name: str, values: Any, axis: AxisParameters) -> np.ndarray:
     return given
 
 
+@checked
 def axis_array(
     config: Source,
     axes: int,
@@ -897,7 +899,7 @@ def _parameters_of_array(
     if words:
         axis = axis.with_faults(words)
     for text in reach_warnings(axis):
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=4)
     return parameters_of_each(axis, axes, each)
 
 
@@ -930,6 +932,7 @@ def identify(  # numpydoc ignore=PR01
     """Identify a stage of coupled axes."""
 
 
+@checked
 def identify(
     source: Any,
     model: str = USUAL,
@@ -940,7 +943,7 @@ def identify(
     linear: str | None = None,
     options: dict[str, Any] | None = None,
     inverse: str | None = None,
-    progress: Any = None,
+    progress: Callable[..., None] | None = None,
     **conditions: Unpack[Conditions],
 ) -> Identified | IdentifiedStage:
     """Identify a model of an axis (hysteresis and the dynamics after it), or a stage of coupled axes, from recordings.
@@ -1013,6 +1016,7 @@ def identify(
     return Identified(**vars(found))
 
 
+@checked
 def validate(
     parameters: Source,
     source: Measured,
@@ -1061,6 +1065,7 @@ def validate(
     return Compared(**vars(workflow.validate(given, reading, namespace=namespace, inverse=inverse, **conditions)))
 
 
+@checked
 def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dict[str, Any]:
     """Return the figures of a run, an identification or a validation; :func:`report` also writes a page.
 
@@ -1106,6 +1111,7 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
     return report(source, namespace=namespace)
 
 
+@checked
 def report(
     source: Reported,
     path: str | os.PathLike[str] | None = None,
@@ -1173,6 +1179,9 @@ def report(
                 "file name, a list of file names, or a dictionary of runs such as {'fine': run, 'coarse': other}"
             )
         named = source if isinstance(source, Mapping) else labels_of(source)
+        for name in named:
+            if not isinstance(name, str):
+                raise HysteresisError(f"source: the name of a run is {shortened(name)}: must be a text")
         return report_several({name: _recording(run, namespace) for name, run in named.items()}, path, title)[0]
     run = _recording(source, namespace)
     heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
@@ -1290,6 +1299,7 @@ def _delays_of_path(run: Recording, names: Sequence[str], time: np.ndarray, para
     return np.where(together, np.where(np.abs(delays) < ROUNDED, 0.0, delays), np.nan)
 
 
+@checked
 def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:
     """Draw a run; in a notebook ``%matplotlib inline`` shows the returned figure.
 
@@ -1355,6 +1365,11 @@ def configuration_of(source: Source) -> Configuration:
         if not source.configuration:
             raise ConfigurationError("the recording has no configuration of its axis; give the parameter file")
         return parse_configuration(source.configuration, "the configuration in the recording")
+    if not isinstance(source, (str, os.PathLike)):
+        raise ConfigurationError(
+            f"configuration = {shortened(source)}: must be a parameter file (.yaml), the name of a shipped one "
+            "(hr.configurations()), a run, or a result of hr.load, hr.identify or hr.design"
+        )
     return load_configuration(source)
 
 

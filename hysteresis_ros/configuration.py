@@ -668,6 +668,8 @@ def load_configuration(path) -> Configuration:
 
     A ``driver`` may be a path relative to the folder of the file; nodes get the absolute path.
     """
+    if path == "":
+        raise ConfigurationError("the path is empty: give a ROS 2 parameter file (.yaml), or the name of a shipped one")
     path = pathlib.Path(path)
     if not path.exists() and path.name == path.stem == str(path):
         path = config_path(path.name)

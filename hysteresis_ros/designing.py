@@ -21,6 +21,7 @@ import tempfile
 from typing import Any
 
 from hysteresis_ros.api import RECORDINGS, Design, DesignedLearning, Response, Source, configuration_of
+from hysteresis_ros.arguments import Hertz, Metres, Seconds, Share, checked
 from hysteresis_ros.configuration import Configuration, normalised_namespace, parse_configuration
 from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.designs.controller import (
@@ -67,17 +68,18 @@ __all__ = [
 ]
 
 
+@checked
 def design(
     config: Source,
     controller: str,
     *,
-    bandwidth: float | None = None,
+    bandwidth: Hertz | None = None,
     q: float | None = None,
     criterion: str | None = None,
-    duration: float | None = None,
+    duration: Seconds | None = None,
     feedforward: bool = False,
     preview: int | None = None,
-    noise: float | None = None,
+    noise: Metres | None = None,
     robust: Uncertainty | None = None,
     damping: str | None = None,
     response: str | os.PathLike[str] | Response | None = None,
@@ -91,20 +93,20 @@ def design(
         The axis, see :func:`.simulate`.
     controller : str
         ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
-    bandwidth : float, optional
+    bandwidth : float or str, optional
         -3 dB bandwidth from reference to displacement [Hz].
     q : float, optional
         Kalman filter: ratio of the process noise variance at the input to the measurement noise variance.
     criterion : str, optional
         For ``pid``: tune the gains on the waveform by ``iae``, ``ise`` or ``itae``.
-    duration : float, optional
+    duration : float or str, optional
         Length of the run that ``criterion`` evaluates [s].
     feedforward : bool
         Add the inverse of the dynamics as feedforward.
     preview : int, optional
         With ``feedforward``: number of samples by which the reference is known in advance; by default as many as the
         inverse needs.
-    noise : float, optional
+    noise : float or str, optional
         RMS noise of the sensor [m], which limits the bandwidth; by default 0.01 % of the stroke.
     robust : Uncertainty, optional
         Plants around the model; the design keeps the margins for each of these plants
@@ -158,13 +160,14 @@ def _designed_for(config: Source) -> Configuration:
     return parse_configuration(given.text, given.source)
 
 
+@checked
 def design_learning(
     config: Source,
     learning: str,
     *,
-    period: float | None = None,
-    bandwidth: float | None = None,
-    maximum: float | None = None,
+    period: Seconds | None = None,
+    bandwidth: Hertz | None = None,
+    maximum: Metres | None = None,
     namespace: str | None = None,
 ) -> DesignedLearning:
     """Design iterative learning for the periods of a scan, with the controller and the model of a configuration.
@@ -175,12 +178,12 @@ def design_learning(
         The axis, see :func:`.simulate`.
     learning : str
         ``inversion``, ``norm_optimal`` or ``repetitive``.
-    period : float, optional
+    period : float or str, optional
         Period of the reference [s]; by default the period of the waveform.
-    bandwidth : float, optional
+    bandwidth : float or str, optional
         Bandwidth of the learning [Hz]; by default the bandwidth with the least error from noise and reference or, if
         the sensor has no noise, the highest bandwidth at which learning converges on all possible plants.
-    maximum : float, optional
+    maximum : float or str, optional
         Largest correction [m]; by default 10 % of the stroke.
     namespace : str, optional
         The axis to use, if a configuration contains several.
@@ -214,6 +217,7 @@ def design_learning(
     return DesignedLearning(tuple(learning_lines(found)), text, found.parameters)
 
 
+@checked
 def frequency_response(
     source: Source,
     experiment: Experiment | None = None,
@@ -295,14 +299,15 @@ def _response(found: AxisResponse) -> Response:
     return Response(**vars(found))
 
 
-def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
+@checked
+def mismatched(config: Source, mismatch: Share = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
     """Return a random plant close to the configured plant: gain, loop width, creep and time constants vary.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
-    mismatch : float
+    mismatch : float or str
         Largest relative deviation of each factor, 0 … 0.5.
     seed : int
         Equal seeds give equal plants.

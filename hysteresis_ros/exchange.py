@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from hysteresis_ros.api import Source, configuration_of
+from hysteresis_ros.arguments import Seconds, checked
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.errors import ConfigurationError, MissingExtraError, did_you_mean
 from hysteresis_ros.identification.workflow import Compared
@@ -40,6 +41,7 @@ NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
 ROUNDING = 1e-9
 
 
+@checked
 def to_control(
     source: Source | Compared, *, node: str = "plant_simulator", namespace: str | None = None
 ) -> control.StateSpace:
@@ -81,6 +83,7 @@ def to_control(
     return control.StateSpace(model.A, model.B, model.C, model.D, sample_time, remove_useless_states=False)
 
 
+@checked
 def to_scipy(
     source: Source | Compared, *, node: str = "plant_simulator", namespace: str | None = None
 ) -> scipy.signal.StateSpace:
@@ -116,7 +119,8 @@ def to_scipy(
     return scipy.signal.StateSpace(model.A, model.B, model.C, model.D, dt=sample_time)
 
 
-def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bool = False) -> LinearParameters:
+@checked
+def from_control(system: Any, sample_time: Seconds | None = None, *, keep_gain: bool = False) -> LinearParameters:
     """Return a linear system of python-control or SciPy as dynamics of this package.
 
     Parameters
@@ -124,8 +128,8 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     system : control.StateSpace, control.TransferFunction or a system of scipy.signal
         System with one input and one output, discrete or continuous. A continuous system is sampled with a zero-order
         hold.
-    sample_time : float, optional
-        Sample time [s]; required if the system does not state it.
+    sample_time : float or str, optional
+        Sample time [s], or a text with its unit such as ``"1ms"``; required if the system does not state it.
     keep_gain : bool
         Keep the DC gain. By default it is set to 1, because the hysteresis in front of the dynamics contains the
         gain.
@@ -183,6 +187,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     ).validated()
 
 
+@checked
 def with_dynamics(config: Source, dynamics: Any, *, node: str = "plant_simulator") -> Configuration:
     """Return a configuration with other linear dynamics.
 
@@ -269,5 +274,8 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
             "scipy.signal"
         )
     A, B, C, D = (np.atleast_2d(np.asarray(part, dtype=float)) for part in (found.A, found.B, found.C, found.D))
+    for name, part in zip("ABCD", (A, B, C, D), strict=True):
+        if not np.all(np.isfinite(part)):
+            raise ConfigurationError(f"the system's {name} = {part.tolist()}: must be finite numbers")
     n = A.shape[0] if A.size else 0
     return A.reshape(n, n), B.reshape(n, -1) if n else np.zeros((0, D.shape[1])), C[:, :n], D, stated

@@ -359,6 +359,8 @@ def executor(
         with cluster(scheduler) as found:
             yield found
         return
+    if workers is not None and workers < 1:
+        raise HysteresisError(f"workers = {workers}: must be 1 or more; leave it out for the number of processors")
     count = min(workers or os.cpu_count() or 1, jobs if jobs is not None else 2**31)
     if count < 2:
         yield InProcess()

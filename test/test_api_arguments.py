@@ -90,7 +90,7 @@ def test_a_duration_may_have_a_unit(duration):
 
 @pytest.mark.parametrize("duration", ["10 m", "long", [0.01, 0.02], {}])
 def test_a_duration_that_is_no_time_is_refused(duration):
-    with pytest.raises(HysteresisError, match="duration = .*: must be a number of seconds, or a text with its unit"):
+    with pytest.raises(HysteresisError, match="duration = .*must be a finite number .s., or a text with its unit"):
         hr.simulate("kim2009", duration=duration)
 
 
@@ -232,3 +232,90 @@ def test_a_sweep_takes_objects():
     words = hr.sweep("kim2009", ["plant_simulator=±5%"], runs=3, duration=0.01, workers=1)
     for name, values in words.results.metrics.items():
         np.testing.assert_array_equal(found.results.metrics[name], values)
+
+
+RISE = 1e-3 * np.arange(100.0)
+MEASURED = hr.Run(RISE, {"voltage": 1e3 * RISE, "measured": 1e-4 * RISE})
+STAGE = {"plant_simulator.sensor.noise": [1e-9]}
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: hr.simulate(None), "configuration = None: must be a parameter file"),
+        (lambda: hr.simulate(""), "the path is empty"),
+        (lambda: hr.load(""), "path = '': must be a text or a path"),
+        (lambda: hr.validate(3, MEASURED), "configuration = 3: must be a parameter file"),
+        (lambda: hr.simulate("kim2009", namespace=3), "namespace = 3: must be a text"),
+        (lambda: hr.simulate("kim2009", threads="2"), "threads = '2': must be a whole number"),
+        (lambda: hr.simulate("kim2009", duration=0.01, faults=3), "faults = 3: must be a fault"),
+        (lambda: hr.simulate("kim2009", duration=0.01, requests=[1]), "requests and speeds are for an inchworm"),
+        (lambda: hr.simulate("kim2009", duration=0.01, speeds=[1.0]), "and this is a piezo axis: leave them out"),
+        (lambda: hr.simulate("kim2009", duration=0.01, quiet="0:1ms"), "quiet = '0:1ms': must be a list"),
+        (lambda: hr.simulate("kim2009", duration=0.01, quiet=[(0.0, "a")]), "quiet: duration = 'a': must be"),
+        (lambda: hr.simulate("kim2009", duration=0.01, quiet=(0.0, 0.1)), "quiet 0.0: give .start, duration"),
+        (lambda: hr.validate("kim2009", "loops.csv", inverse="no"), "inverse = 'no': must be True or False"),
+        (lambda: hr.identify("loops.csv", ["bouc_wen"]), "model = .'bouc_wen'.: must be a text"),
+        (lambda: hr.identify("loops.csv", linear=["lag"]), "linear = .'lag'.: must be a text"),
+        (lambda: hr.identify(MEASURED, options={"play_count": 10**7}), "play_count = .*must be 1000 or less"),
+        (lambda: hr.design("kim2009", "pid", robust=True), "robust = True: must be an object of type Uncertainty"),
+        (lambda: hr.design("kim2009", "pid", bandwidth="10nm"), "bandwidth = '10nm': is in m, must be in Hz"),
+        (lambda: hr.design("kim2009", "pid", duration=1.0), "--duration belongs to --criterion"),
+        (lambda: hr.design_learning("kim2009", "inversion", period=np.nan), "period = nan: must be a finite number"),
+        (lambda: hr.design_learning("kim2009", ["inversion"]), "learning = .'inversion'.: must be a text"),
+        (lambda: hr.mismatched("kim2009", seed=-1), "seed = -1: must be 0 or more"),
+        (lambda: hr.report(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), 3), "path = 3: must be a text or a path"),
+        (
+            lambda: hr.metrics({1: hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]})}),
+            "the name of a run is 1: must be a text",
+        ),
+        (lambda: hr.plot("run.npz", ["loops"]), "kind = .'loops'.: must be a text"),
+        (lambda: hr.Run([0.0, 1.0], {"voltage": [0.0, 1j]}), "signal 'voltage' must consist of real numbers"),
+        (lambda: hr.StageColumns(settle=0.0), "settle = 0.0: must be a whole number"),
+        (lambda: hr.StructureEstimator(order="a"), "order = 'a': must be a whole number or a sequence"),
+        (lambda: hr.StructureData("a", "b", 1e-3, 16), "input: must be an array of real numbers"),
+        (lambda: hr.compare("kim2009", only=("PID", "none")), "only = .*: must be a list of pairs"),
+        (lambda: hr.compare("kim2009", mismatch="5V"), "mismatch = '5V': is in V"),
+    ],
+)
+def test_a_wrong_argument_is_refused_by_name(call, message):
+    with pytest.raises(HysteresisError, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"runs": 2.5}, "runs = 2.5: must be a whole number"),
+        ({"seed": -1}, "seed = -1: must be 0 or more"),
+        ({"workers": 0}, "workers = 0: must be 1 or more"),
+        ({"bounds": [3]}, "bound = 3: must be a text"),
+        ({"bounds": "final_error_rms_m=1um"}, "unknown metric of an actuator; there are rms_error_m"),
+        ({"vary": 3}, "must be a list of NODE.PARAMETER=RANGE"),
+    ],
+)
+def test_a_wrong_argument_of_a_sweep_is_refused_by_name(wrong, message):
+    with pytest.raises(HysteresisError, match=message):
+        hr.sweep(**{"config": "kim2009", "vary": STAGE, "duration": 0.01, **wrong})
+
+
+def test_an_unknown_sensitivity_is_refused_by_name():
+    pytest.importorskip("SALib")
+    with pytest.raises(HysteresisError, match="sensitivity = 'sobl': must be sobol or morris; did you mean sobol"):
+        hr.sweep("kim2009", STAGE, sensitivity="sobl", runs=2)
+
+
+def test_quantities_with_units_are_accepted():
+    assert hr.mismatched("kim2009", "5%").entries == hr.mismatched("kim2009", 0.05).entries
+    swept = hr.sweep("kim2009", STAGE, metrics="max_error_m", bounds="rms_error_m=1m", duration="10ms", workers=1)
+    assert set(swept.results.metrics) == {"max_error_m", "rms_error_m"}
+    quiet = [hr.simulate("stage700", duration=0.3, quiet=[one]) for one in ((0.1, 0.05), ("100ms", "50ms"))]
+    np.testing.assert_array_equal(quiet[0].command, quiet[1].command)
+
+
+@pytest.mark.slow
+def test_a_design_accepts_quantities_with_units():
+    plain, texts = (
+        hr.design("kim2009", "pid", bandwidth=one, noise=two) for one, two in ((20.0, 2e-9), ("20Hz", "2nm"))
+    )
+    assert plain.parameters == texts.parameters

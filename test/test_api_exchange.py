@@ -19,7 +19,7 @@ import pytest
 import scipy.signal
 
 import hysteresis_ros as hr
-from hysteresis_ros.errors import ConfigurationError, MissingExtraError, ParameterError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, MissingExtraError, ParameterError
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_advance
 
@@ -166,3 +166,10 @@ def test_without_python_control_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(MissingExtraError, match=r'pip install "hysteresis_ros\[control\]"'):
         hr.to_control("kim2009")
+
+
+def test_matrices_must_be_finite_and_the_sample_time_may_have_a_unit():
+    system = scipy.signal.lti([1.0], [0.01, 1.0])
+    assert hr.from_control(system, "1ms") == hr.from_control(system, 1e-3)
+    with pytest.raises(HysteresisError, match="the system's A = .*nan.*: must be finite numbers"):
+        hr.from_control(scipy.signal.StateSpace([[np.nan]], [[1.0]], [[1.0]], [[0.0]], dt=1e-3))

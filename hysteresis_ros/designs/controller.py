@@ -537,6 +537,10 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
         axis.require_generator(
             "--criterion tunes on the waveform of reference_generator, but the file has a sequencer instead; omit it"
         )
+    if request.duration is not None and not request.criterion:
+        raise ConfigurationError(
+            "--duration belongs to --criterion: it is the length of the run that is evaluated; give both"
+        )
     if "kalman" not in law.groups and request.q is not None:
         raise ConfigurationError(f"--q belongs to the Kalman filter, but {request.controller} has none; omit it")
     if request.q is not None and not request.q > 0.0:

@@ -26,6 +26,7 @@ is the motion of the actuators, advanced by τ samples. Without the advance, the
 
 from __future__ import annotations
 
+import numbers
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
+from hysteresis_ros.arguments import Seconds, check_fields
 from hysteresis_ros.configuration import dump_configuration
 from hysteresis_ros.errors import IdentificationError, Problem
 from hysteresis_ros.identification.data import DataError
@@ -99,10 +101,11 @@ class StructureData:
 
     u: np.ndarray
     y: np.ndarray
-    sample_time: float
+    sample_time: Seconds
     period: int
 
     def __post_init__(self) -> None:
+        check_fields(self)
         u, y = experiments_of("input", self.u, self.period), experiments_of("output", self.y, self.period)
         if u.shape[:2] != y.shape[:2]:
             text = f"input {np.shape(self.u)} and output {np.shape(self.y)} differ in realisations or samples"
@@ -287,10 +290,13 @@ class StructureEstimator:
     run_in: int | None = None
     weighting: str = "distortion"
     steps: int = 20
-    seconds: float | None = None
+    seconds: Seconds | None = None
     band: tuple[float, float] | None = None
     feedthrough: bool = True
     progress: Callable[[str], None] | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def fit(self, data: StructureData) -> IdentifiedStructure:
         """Identify the structure from recordings.
@@ -362,8 +368,14 @@ class StructureEstimator:
     def _checked(self) -> tuple[int, ...]:
         """Return the orders to try; refuse options that cannot be used."""
         orders = (self.order,) if isinstance(self.order, int) else tuple(self.order)
+        whole = all(isinstance(one, numbers.Integral) for one in orders)
         for name, value, allowed, wrong in (
-            ("order", self.order, "must be even numbers ≥ 2", not orders or any(n < 2 or n % 2 for n in orders)),
+            (
+                "order",
+                self.order,
+                "must be even numbers ≥ 2",
+                not (orders and whole) or any(n < 2 or n % 2 for n in orders),
+            ),
             ("plays", self.plays, "must be ≥ 0", self.plays < 0),
             ("hystereses", self.hystereses, "must be ≥ 1", self.hystereses < 1),
             ("held_out", self.held_out, "must be ≥ 0", self.held_out < 0),
@@ -371,6 +383,7 @@ class StructureEstimator:
             ("weighting", self.weighting, f"must be one of {', '.join(WEIGHTINGS)}", self.weighting not in WEIGHTINGS),
             ("steps", self.steps, "must be ≥ 1", self.steps < 1),
             ("seconds", self.seconds, "must be > 0 s", self.seconds is not None and not self.seconds > 0.0),
+            ("band", self.band, "must be (lowest, highest frequency) in Hz", not _is_band(self.band)),
         ):
             if wrong:
                 raise IdentificationError(str(Problem(name, value, allowed)))
@@ -447,6 +460,14 @@ class StructureEstimator:
         return self._refined("everything", model, training, groups, held=held, steps=self.steps, limits=limits)
 
 
+def _is_band(band) -> bool:
+    """Return whether a band is None, or two frequencies [Hz] of which the second is higher."""
+    if band is None:
+        return True
+    both = tuple(band)
+    return len(both) == 2 and all(isinstance(one, numbers.Real) for one in both) and both[0] < both[1]
+
+
 def _figures(result: IdentifiedStructure, data: StructureData, levels, fitted, judged) -> dict:
     """Return the figures of an identification by names with units."""
     parameters = result.parameters
@@ -469,7 +490,7 @@ def _figures(result: IdentifiedStructure, data: StructureData, levels, fitted, j
     return figures
 
 
-def identify_structure(u, y, sample_time: float, period: int, **options) -> IdentifiedStructure:
+def identify_structure(u, y, sample_time: Seconds, period: int, **options) -> IdentifiedStructure:
     """Identify coupled axes, hysteresis included, from recordings of several inputs and outputs.
 
     Parameters
@@ -479,8 +500,8 @@ def identify_structure(u, y, sample_time: float, period: int, **options) -> Iden
         steady state, at one or several levels.
     y : array_like, shape (R, P N, q)
         Outputs [m].
-    sample_time : float
-        [s]
+    sample_time : float or str
+        [s], or a text with its unit such as ``"1ms"``.
     period : int
         N.
     **options

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from hysteresis_ros.arguments import real_array
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.thresholds import DRIFT
 from hysteresis_ros.models.play_operators import plays
@@ -485,7 +486,10 @@ class IdentificationData:
     def __post_init__(self):
         """Check shapes and units."""
         for name in ("time", "input", "output"):
-            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            try:
+                values = real_array(getattr(self, name))
+            except (TypeError, ValueError):
+                raise DataError("shape", f"{name}: must be an array of real numbers") from None
             if values.ndim != 1 or values.shape != np.shape(self.time):
                 raise DataError("shape", f"{name} has shape {values.shape}; it must be ({np.size(self.time)},)")
             object.__setattr__(self, name, values)
@@ -674,7 +678,10 @@ def checked_signals(input_, output, names=("voltage", "displacement"), fewest: i
 
 def finite_array(name: str, values) -> np.ndarray:
     """Return ``values`` as float64 array; raise DataError for values that are not finite."""
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    try:
+        array = real_array(values)
+    except (TypeError, ValueError):
+        raise DataError("shape", f"{name}: must be an array of real numbers") from None
     bad = ~np.isfinite(array)
     if bad.any():
         index = tuple(map(int, np.argwhere(bad)[0]))

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hysteresis_ros.arguments import Seconds, check_fields
 from hysteresis_ros.errors import IdentificationError, Problem, did_you_mean
 from hysteresis_ros.files import read_heads
 from hysteresis_ros.identification.coupled import StructureData
@@ -61,9 +62,9 @@ class StageColumns:
         all its axes.
     time : str, optional
         Time column.
-    sample_time : float, optional
-        [s], for files without a time column.
-    period : float, optional
+    sample_time : float or str, optional
+        [s], or a text with its unit, for files without a time column.
+    period : float or str, optional
         Period of the inputs [s]; by default it is determined from the inputs.
     settle : int, optional
         Number of periods discarded at the beginning of each realisation; by default one, or none if a realisation has
@@ -73,11 +74,12 @@ class StageColumns:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     time: str | None = None
-    sample_time: float | None = None
-    period: float | None = None
+    sample_time: Seconds | None = None
+    period: Seconds | None = None
     settle: int | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("inputs", "outputs"):
             given = tuple(getattr(self, name))
             object.__setattr__(self, name, given)

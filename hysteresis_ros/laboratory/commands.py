@@ -181,11 +181,11 @@ def sweep(config, varied, *, runs, seed, metrics, bounds, confidence, sensitivit
     outcome.require_kind(path)
     if sensitivity:
         require_library()
-    allowed = tuple(map(parse_bound, bounds))
     reference = others["reference"]
     configuration = reference.put_into(laid_under(config, others["laid_over"]))
     with reference.named():
         axis = single_axis(configuration, others["namespace"])
+    allowed = tuple(parse_bound(bound, axis) for bound in bounds)
     names = require_metrics([*metrics, *(bound.metric for bound in allowed)], axis)
     if others["duration"] is not None:
         axis = axis.with_duration(others["duration"])

@@ -17,6 +17,7 @@ from dataclasses import fields
 from typing import Any
 
 from hysteresis_ros.api import Source, configuration_of
+from hysteresis_ros.arguments import checked
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.laboratory.comparison.compare import compare as compare_candidates
 from hysteresis_ros.laboratory.comparison.table import Ranking
@@ -27,6 +28,7 @@ from hysteresis_ros.laboratory.papers.claims import Reproduction
 __all__ = ["Ranking", "Reproduction", "compare", "reproduce"]
 
 
+@checked
 def compare(
     config: Source,
     *,
@@ -89,6 +91,7 @@ def compare(
     return Ranking(**vars(found))
 
 
+@checked
 def reproduce(paper: str) -> Reproduction:
     """Repeat the experiments of a paper, and compare each claim with its reproduction.
 

@@ -15,6 +15,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 
 from hysteresis_ros.api import Source, configuration_of
+from hysteresis_ros.arguments import Seconds, checked
 from hysteresis_ros.laboratory.sweeps.plan import RANDOM, Range, make_plan, parse_variations
 from hysteresis_ros.laboratory.sweeps.study import Study, require_metrics
 from hysteresis_ros.laboratory.sweeps.summary import Summary, lines, parse_bound, require_library
@@ -36,16 +37,17 @@ class Swept(Summary):  # numpydoc ignore=PR01
         return "\n".join(lines(self))
 
 
+@checked
 def sweep(
     config: Source,
     vary: Sequence[str] | Mapping[str, str | Range | Sequence[object]],
     path: str | os.PathLike[str] | None = None,
     *,
     runs: int | None = None,
-    metrics: Sequence[str] = (),
-    bounds: Sequence[str] = (),
+    metrics: str | Sequence[str] = (),
+    bounds: str | Sequence[str] = (),
     sensitivity: str | None = None,
-    duration: float | None = None,
+    duration: Seconds | None = None,
     seed: int = 1,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -66,14 +68,14 @@ def sweep(
         File for the results, ``.parquet`` or ``.npz``; an interrupted sweep continues from it.
     runs : int, optional
         Total number of runs; not needed if all ranges are levels.
-    metrics : sequence of str
+    metrics : str or sequence of str
         Figures of a report to store; by default ``rms_error_m``, for an inchworm motor ``final_error_rms_m``.
-    bounds : sequence of str
+    bounds : str or sequence of str
         Requirements on a run: ``"rms_error_m=10nm"``.
     sensitivity : str, optional
         ``sobol`` or ``morris``: plan the runs for this analysis (needs ``pip install "hysteresis_ros[sweep]"``).
-    duration : float, optional
-        Length of each run [s].
+    duration : float or str, optional
+        Length of each run [s], or a text with its unit such as ``"10ms"``.
     seed : int
         Seed of the draws; equal seeds give equal runs.
     workers : int, optional
@@ -107,9 +109,9 @@ def sweep(
     """
     if sensitivity:
         require_library()
-    allowed = tuple(map(parse_bound, bounds))
     axis = single_axis(configuration_of(config), namespace)
-    names = require_metrics([*metrics, *(bound.metric for bound in allowed)], axis)
+    allowed = tuple(parse_bound(bound, axis) for bound in _listed(bounds))
+    names = require_metrics([*_listed(metrics), *(bound.metric for bound in allowed)], axis)
     if duration is not None:
         axis = axis.with_duration(duration)
     variations = parse_variations(vary, axis)
@@ -117,3 +119,8 @@ def sweep(
     study, told = Study(axis, variations, names), progress or (lambda done: None)
     found = make_runs(study, plan, path, workers=workers, scheduler=scheduler, progress=told)
     return Swept(found, plan, allowed)
+
+
+def _listed(texts: str | Sequence[str]) -> Sequence[str]:
+    """Return texts as a sequence; a single text is a sequence of one."""
+    return [texts] if isinstance(texts, str) else texts

@@ -23,14 +23,15 @@ The drift of a quiet hold is the creep that the model does not compensate. It is
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros.arguments import checked_value
 from hysteresis_ros.configuration import Parameters, parameter
-from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, shortened
 from hysteresis_ros.models.block import interpreted, kernel
 from hysteresis_ros.models.creep import DECAYS, OPERATOR, OPERATORS, OUTPUT, Creep, creep_inverse
 from hysteresis_ros.units import quantity_in, readable
@@ -257,11 +258,22 @@ def checked(quiet: Quiet) -> Quiet:
     return quiet
 
 
-def quiets_of(given: Sequence[str | Sequence[float]]) -> list[Quiet]:
+def quiets_of(given: Sequence[str | Sequence[float | str]]) -> list[Quiet]:
     """Return quiet holds that are given as texts, or as numbers in the order of :class:`Quiet`."""
-    found = []
-    for one in given:
-        if not isinstance(one, str) and len(one) not in (2, 3):
-            raise ConfigurationError(f"quiet {tuple(one)}: give (start, duration) or (start, duration, tolerance)")
-        found.append(parse_quiet(one) if isinstance(one, str) else checked(Quiet(*map(float, one))))
-    return found
+    if isinstance(given, str):
+        raise ConfigurationError(f"quiet = {given!r}: must be a list of quiet holds: write [{given!r}]")
+    return [parse_quiet(one) if isinstance(one, str) else _quiet_of(one) for one in given]
+
+
+def _quiet_of(numbers: Sequence[float | str]) -> Quiet:
+    """Return the quiet hold of (start, duration) or (start, duration, tolerance); each may be a text with its unit."""
+    if not isinstance(numbers, Iterable) or len(tuple(numbers)) not in (2, 3):
+        raise ConfigurationError(f"quiet {shortened(numbers)}: give (start, duration) or (start, duration, tolerance)")
+    start, duration, tolerance = (*numbers, 0.0)[:3]
+    return checked(
+        Quiet(
+            checked_value(f"{QUIET}: start", start, "Seconds"),
+            checked_value(f"{QUIET}: {DURATION}", duration, "Seconds"),
+            checked_value(f"{QUIET}: {TOLERANCE}", tolerance, "Metres"),
+        )
+    )

@@ -44,6 +44,8 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
     """Return the configuration with a random plant close to the configured plant."""
     if not 0.0 <= mismatch <= LARGEST:
         raise ParameterError([Problem("mismatch", mismatch, f"must be within 0 … {LARGEST:g}")])
+    if seed < 0:
+        raise ParameterError([Problem("seed", seed, "must be 0 or more")])
     plant = single_axis(configuration).plant_simulator
     random = np.random.default_rng(seed)
 

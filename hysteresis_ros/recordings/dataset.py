@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hysteresis_ros.arguments import real_array
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
@@ -194,9 +195,9 @@ class Recording:
 
 def _column(name: str, values) -> np.ndarray:
     try:
-        column = np.ascontiguousarray(values, dtype=np.float64)
+        column = real_array(values)
     except (TypeError, ValueError):
-        raise RecordingError(f"signal '{name}' does not contain numbers") from None
+        raise RecordingError(f"signal '{name}' must consist of real numbers") from None
     if np.ndim(values) != 1:
         raise RecordingError(f"signal '{name}' has shape {np.shape(values)}; it must be one-dimensional")
     return column

@@ -134,7 +134,7 @@ def test_a_failed_write_leaves_no_file(tmp_path):
     [
         ((np.arange(3.0), {"voltage": np.zeros(2)}), "2 samples and time has 3"),
         ((np.arange(3.0), {"voltage": np.zeros((3, 1))}), "one-dimensional"),
-        ((np.arange(3.0), {"voltage": ["a", "b", "c"]}), "does not contain numbers"),
+        ((np.arange(3.0), {"voltage": ["a", "b", "c"]}), "must consist of real numbers"),
         ((np.arange(3.0), {"current": np.zeros(3)}), "has no unit"),
         ((np.arange(3.0), {"voltage": np.zeros(3)}, {"voltage": "mV"}), "must be in 'V'"),
         ((np.arange(3.0), {"voltage": np.zeros(3)}, {"force": "N"}), "not a signal of the recording"),

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
-from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.errors import ConfigurationError, did_you_mean, shortened
 from hysteresis_ros.executors import Job, executor
 from hysteresis_ros.laboratory.comparison.candidates import known, names
 from hysteresis_ros.laboratory.comparison.rows import (
@@ -285,6 +285,11 @@ def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]
 
 def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
     """Refuse combinations that the axis cannot use; otherwise the tables would lack them without a message."""
+    for pair in [only] if isinstance(only, str) else only:
+        if isinstance(pair, str) or len(pair) != 2:
+            raise ConfigurationError(
+                f"only = {shortened(only)}: must be a list of pairs (controller, compensator), such as {possible[0]!r}"
+            )
     for position, kind in enumerate(("controller", "compensator")):
         known_names = list(dict.fromkeys(name[position] for name in possible))
         for name in (combination[position] for combination in only):

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hysteresis_ros.analysis.metrics import chattering_figures
+from hysteresis_ros.arguments import Hertz, Metres, Share, check_fields
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.laboratory.between_samples import INSTANTS, displacement_between
 from hysteresis_ros.laboratory.foreign import Foreign, ForeignParameters
@@ -47,8 +48,8 @@ ALLOWED_DELAY = 0.1
 class Conditions:
     """Conditions of all runs."""
 
-    mismatch: float = 0.05  #: Largest relative deviation of each parameter of the plants.
-    noise: float = 5e-9  #: Sensor noise [m rms].
+    mismatch: Share = 0.05  #: Largest relative deviation of each parameter of the plants.
+    noise: Metres = 5e-9  #: Sensor noise [m rms].
     bits: int = 16  #: Resolution of the converter; 0: unlimited.
     draws: int = 20  #: Number of random plants close to the configured plant.
     others: int = 4  #: Number of plants of other classes.
@@ -56,13 +57,14 @@ class Conditions:
     #: Whether sliding mode controllers are designed for the worst plants within the mismatch, with and without another
     #: sample of delay.
     robust: bool = False
-    sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
-    triangle_frequency: float = 10.0
+    sine_frequency: Hertz = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
+    triangle_frequency: Hertz = 10.0
     sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Peak-to-peak references, as fractions of the stroke.
     triangle_stroke: float = 0.2
 
     def __post_init__(self):
         """Refuse impossible conditions."""
+        check_fields(self)
         allowed = {
             "mismatch": (0.0 <= self.mismatch <= 0.5, "must be within 0 … 0.5"),
             "noise": (0.0 <= self.noise < 1.0, "must be within 0 … 1 m, 1 excluded"),

@@ -26,7 +26,7 @@ import math
 import numbers
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -525,8 +525,10 @@ def parse_variations(
 ) -> tuple[Variation, ...]:
     """Return the variations from texts ``NODE.PARAMETER=RANGE``, or from a mapping of ``NODE.PARAMETER`` to ranges."""
     given: list[tuple[str, str | Range]] = []
-    if isinstance(vary, str):
-        raise refused(vary, "", "must be a list of NODE.PARAMETER=RANGE, or a mapping from NODE.PARAMETER to its range")
+    if isinstance(vary, str) or not isinstance(vary, Iterable):
+        raise refused(
+            str(vary), "", "must be a list of NODE.PARAMETER=RANGE, or a mapping from NODE.PARAMETER to its range"
+        )
     if isinstance(vary, Mapping):
         for target, over in vary.items():
             if not isinstance(over, (str, Range)) and not np.iterable(over):
@@ -664,7 +666,7 @@ def _deviating(plant, gain=1.0, opening=1.0, slowness=1.0, creep_rate=1.0):
 DRAWS = 1000
 #: Maximum number of runs of one sweep.
 MOST_RUNS = 10**9
-RANDOM, SOBOL, MORRIS = "random", "sobol", "morris"
+RANDOM, SOBOL, MORRIS = DESIGNS = "random", "sobol", "morris"
 MORRIS_LEVELS = 4
 
 
@@ -736,6 +738,11 @@ def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: 
     """Return the plan of a sweep."""
     if not variations:
         raise ConfigurationError("no varied parameter: give --vary NODE.PARAMETER=RANGE")
+    if seed < 0:
+        raise ParameterError([Problem("seed", seed, "must be 0 or more")])
+    if design not in DESIGNS:
+        near = did_you_mean(design, DESIGNS)
+        raise ConfigurationError(f"sensitivity = {design!r}: must be {SOBOL} or {MORRIS}{near}")
     plan = Plan(variations, 0, seed, design)
     levels, spreads = plan.combinations, plan.spreads
     asked = runs if runs is not None else (max(DRAWS, levels) if spreads or design != RANDOM else levels)

@@ -110,7 +110,7 @@ BETWEEN = (
 
 
 def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) -> tuple[str, ...]:
-    """Return the names of metrics, each once."""
+    """Return the names of metrics, each once; without an axis, the metrics of every kind of axis are known."""
     known, whose = METRICS, ""
     if axis is not None and axis.inchworm_sequencer is not None:
         known, whose = MOTOR_METRICS, " of an inchworm motor"

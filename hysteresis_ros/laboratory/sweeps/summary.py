@@ -27,10 +27,11 @@ import numpy as np
 import scipy
 
 from hysteresis_ros.analysis.tables import format_value, shown
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, shortened
 from hysteresis_ros.laboratory.sweeps.plan import MORRIS_LEVELS, RANDOM, SOBOL, Levels, Plan
 from hysteresis_ros.laboratory.sweeps.study import BETWEEN, METRICS, require_metrics
 from hysteresis_ros.laboratory.sweeps.sweep import Results
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.units import quantity, quantity_in
 
 #: Suffixes of metrics and their SI units; the first suffix that matches is used.
@@ -87,10 +88,12 @@ class Yield:
         return f"{share} % ({self.good} of {self.runs}), {low} … {high} %"
 
 
-def parse_bound(text: str) -> Bound:
+def parse_bound(text: str, axis: AxisParameters | None = None) -> Bound:
     """Return the bound in a text: ``rms_error_m=1nm`` (maximum), ``stroke_m=9um:`` (minimum), ``stroke_m=9um:11um``."""
+    if not isinstance(text, str):
+        raise ConfigurationError(f"bound = {shortened(text)}: must be a text such as 'rms_error_m=10nm'")
     name, mark, words = text.partition("=")
-    (metric,) = require_metrics([name.strip()])
+    (metric,) = require_metrics([name.strip()], axis)
     low, colon, high = words.rpartition(":")
     try:
         ends = [_value(metric, word) if word.strip() else None for word in (low, high)]

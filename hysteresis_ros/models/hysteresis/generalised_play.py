@@ -51,6 +51,7 @@ from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import composite, kernel
 from hysteresis_ros.models.declaration import (
     DISPLACEMENT,
+    MOST_PLAYS,
     NOWHERE,
     VOLTAGE,
     Deviation,
@@ -343,7 +344,7 @@ MODEL = HysteresisModel(
     inverses=("exact", "general", "none"),
     identify="hysteresis_ros.identification.procedures:generalised_play",
     options={
-        "play_count": Option(int, "plays", low=1),
+        "play_count": Option(int, "plays", low=1, high=MOST_PLAYS),
         "freedom": Option(
             str,
             "extensions of plain plays: growth with the rate, envelopes, both, or the best by cross-validation",

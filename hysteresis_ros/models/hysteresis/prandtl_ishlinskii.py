@@ -40,6 +40,7 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.block import kernel
 from hysteresis_ros.models.declaration import (
     DISPLACEMENT,
+    MOST_PLAYS,
     VOLTAGE,
     Deviation,
     HysteresisModel,
@@ -313,9 +314,12 @@ MODEL = HysteresisModel(
     inverses=("exact", "general", "picard_steps", "none"),
     identify="hysteresis_ros.identification.procedures:prandtl_ishlinskii",
     options={
-        "play_count": Option(int, "plays", low=1),
+        "play_count": Option(int, "plays", low=1, high=MOST_PLAYS),
         "zone_count": Option(
-            int, "number of dead zones; a given number selects density=free; 0: the classical model", low=0
+            int,
+            "number of dead zones; a given number selects density=free; 0: the classical model",
+            low=0,
+            high=MOST_PLAYS,
         ),
         "density": Option(
             str,

@@ -34,6 +34,7 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.block import kernel
 from hysteresis_ros.models.declaration import (
     DISPLACEMENT,
+    MOST_CELLS,
     VOLTAGE,
     Deviation,
     HysteresisModel,
@@ -344,8 +345,8 @@ MODEL = HysteresisModel(
     inverses=("general", "picard_steps", "none"),
     identify="hysteresis_ros.identification.procedures:preisach",
     options={
-        "widths": Option(int, "widths of elementary loops at which the density has a weight", low=1),
-        "nodes": Option(int, "nodes of the map on each side", low=2),
+        "widths": Option(int, "widths of elementary loops at which the density has a weight", low=1, high=MOST_CELLS),
+        "nodes": Option(int, "nodes of the map on each side", low=2, high=MOST_CELLS),
         "density": Option(
             str,
             "linear in the bias of a loop, or free: a weight for each cell, for loops that saturate or are asymmetric",
