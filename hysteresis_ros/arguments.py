@@ -9,8 +9,8 @@
 
 """Check the arguments of the Python API against their annotations, and convert texts with units to SI.
 
-Simple kinds are checked: numbers, texts, flags, paths, functions, sequences (``tuple``) and classes of the package.
-Arguments with another annotation, such as ``ArrayLike``, are left to the function.
+Simple kinds are checked: numbers, texts, flags, paths, functions and sequences (``tuple``). Arguments with another
+annotation, such as ``ArrayLike`` or a class of the package, are left to the function.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Rule(NamedTuple):
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Check the arguments of a function against its annotations whenever it is called."""
     annotations = {name: one.annotation for name, one in inspect.signature(function).parameters.items()}
-    rules = rules_of(annotations, function.__module__)
+    rules = rules_of(annotations)
 
     @functools.wraps(function)
     def call(*given: P.args, **named: P.kwargs) -> R:
@@ -98,22 +98,21 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 def check_fields(instance: Any) -> None:
     """Check the fields of a dataclass, as :func:`checked` does with arguments."""
-    kind = type(instance)
-    for name, rule in rules_of(kind.__annotations__, kind.__module__).items():
+    for name, rule in rules_of(type(instance).__annotations__).items():
         object.__setattr__(instance, name, rule.value(name, getattr(instance, name)))
 
 
 def checked_value(name: str, value: Any, annotation: str) -> Any:
     """Check one value against an annotation, as :func:`checked` does with arguments."""
-    return rules_of({name: annotation}, __name__)[name].value(name, value)
+    return rules_of({name: annotation})[name].value(name, value)
 
 
-def rules_of(annotations: Mapping[str, str], module: str) -> dict[str, Rule]:
+def rules_of(annotations: Mapping[str, str]) -> dict[str, Rule]:
     """Return the rules of the arguments whose annotations this module knows."""
     rules = {}
     for name, annotation in annotations.items():
         parts = [part.partition("[")[0] for part in annotation.split(" | ")]
-        found = [_kind(part, module) for part in parts]
+        found = [KINDS["float"] if part in QUANTITIES else KINDS.get(part) for part in parts]
         known = [kind for kind in found if kind is not None]
         if len(known) < len(found):
             continue
@@ -123,14 +122,6 @@ def rules_of(annotations: Mapping[str, str], module: str) -> dict[str, Rule]:
             allowed += f"{f' [{unit}]' if unit else ''}, or a text with its unit such as {example!r}"
         rules[name] = Rule(tuple(kind for kind, _ in known), unit, allowed)
     return rules
-
-
-def _kind(name: str, module: str) -> tuple[Any, str] | None:
-    """Return the class that an annotation names, and its name in a message; None for an annotation that is unknown."""
-    found = getattr(sys.modules[module], name, None)
-    if isinstance(found, type) and found.__module__.partition(".")[0] == __name__.partition(".")[0]:
-        return found, f"an object of type {name}"
-    return KINDS["float"] if name in QUANTITIES else KINDS.get(name)
 
 
 def real_array(values: Any) -> np.ndarray:

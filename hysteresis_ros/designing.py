@@ -138,6 +138,8 @@ def design(
     >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
     >>> run = hr.simulate(found, duration=0.01)
     """
+    if not isinstance(robust, (Uncertainty, type(None))):
+        raise ConfigurationError(f"robust is of type {type(robust).__name__}: must be Uncertainty, see hr.Uncertainty")
     configuration = _designed_for(config)
     axis = single_axis(configuration, namespace)
     request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust, damping)

@@ -258,7 +258,7 @@ STAGE = {"plant_simulator.sensor.noise": [1e-9]}
         (lambda: hr.identify("loops.csv", ["bouc_wen"]), "model = .'bouc_wen'.: must be a text"),
         (lambda: hr.identify("loops.csv", linear=["lag"]), "linear = .'lag'.: must be a text"),
         (lambda: hr.identify(MEASURED, options={"play_count": 10**7}), "play_count = .*must be 1000 or less"),
-        (lambda: hr.design("kim2009", "pid", robust=True), "robust = True: must be an object of type Uncertainty"),
+        (lambda: hr.design("kim2009", "pid", robust=True), "robust is of type bool: must be Uncertainty"),
         (lambda: hr.design("kim2009", "pid", bandwidth="10nm"), "bandwidth = '10nm': is in m, must be in Hz"),
         (lambda: hr.design("kim2009", "pid", duration=1.0), "--duration belongs to --criterion"),
         (lambda: hr.design_learning("kim2009", "inversion", period=np.nan), "period = nan: must be a finite number"),
