@@ -1189,7 +1189,7 @@ def report(
         from hysteresis_ros.analysis.scan_report import plane_figures, plane_of, scan_figures, write_scan_report
         from hysteresis_ros.analysis.side_by_side import report_several
 
-        axes, scanned = {name: run.axis(name) for name in run.axes}, scan_run(run)
+        axes, scanned = stage_axes_of(run), scan_run(run)
         if scanned is None:
             plane = plane_of(axes)
             found = report_several(axes, path, title, plane)[0]
@@ -1238,17 +1238,15 @@ def scan_run(
     >>> hr.scan_run(hr.simulate("xy_scanner", duration=0.01)) is None
     True
     """
-    from hysteresis_ros.analysis.scan_report import NO_LINE, ScanRun, judged_from, trigger_times
+    from hysteresis_ros.analysis.scan_report import NO_LINE, ScanRun, trigger_times
     from hysteresis_ros.errors import RecordingError
 
     run = _recording(source, None)
-    configuration = configuration_of(run) if run.axes and run.configuration else None
-    if configuration is None or configuration.stage is None:
+    found = _scanning_stage(run)
+    if found is None:
         return None
-    parameters = StageParameters.from_configuration(without_drivers(configuration, run.axes))
-    scan, names = parameters.scan, parameters.scanning_axes
-    if scan is None:
-        return None
+    parameters, scan = found
+    names, periods = parameters.scanning_axes, parameters.stage.scan.periods
     places = [parameters.names.index(name) for name in names]
     if run.is_simulated:
         time, displacement = displacements_between(parameters, run)
@@ -1265,19 +1263,64 @@ def scan_run(
     # the references do not include the preload offset, but the displacements do
     zeros = np.array([parameters.axes[place].motion_controller.model.preload.offset for place in places])
     displacement = displacement[places] - zeros[:, np.newaxis]
-    ends = parameters.stage.scan.periods * scan.period or np.inf
-    there = (moment >= -1e-9) & (moment < ends - 1e-9)
-    if first is None:
-        there &= moment >= judged_from(scan, moment[there]) - 1e-9
-    else:
-        there &= time >= first - 1e-9
-    there &= time <= last + 1e-9
+    there = _on_path(scan, periods, moment, None if first is None else 0.0)
+    there &= (time >= (first or 0.0) - 1e-9) & (time <= last + 1e-9)
     if not np.any(there):
         raise RecordingError(NO_LINE)
     triggers = trigger_times((run.axis(name) for name in names), time[there], run.time[0])
     moments = None if np.array_equal(moment[there], time[there]) else moment[there]
     signals = reference[:, there], displacement[:, there]
     return ScanRun(scan, time[there], *signals, triggers, moments, names)
+
+
+def stage_axes_of(run: Recording) -> dict[str, Recording]:
+    """Return the axes of a stage; the errors of all of them count from the same instant on.
+
+    Parameters
+    ----------
+    run : Recording
+        The run of a stage.
+
+    Returns
+    -------
+    dict of str to Recording
+        The axes by name. If the stage follows a scan, they count from the instant from which :func:`scan_run` counts;
+        otherwise from the instant at which the last axis begins its scan.
+    """
+    from hysteresis_ros.analysis.metrics import stage_axes
+
+    found = _scanning_stage(run)
+    if found is None:
+        return stage_axes(run)
+    parameters, scan = found
+    time = run.time - run.time[0]
+    moment = time + _delays_of_path(run, parameters.scanning_axes, time, parameters)
+    counted = _on_path(scan, parameters.stage.scan.periods, moment)
+    return stage_axes(run, float(run.time[np.argmax(counted)]) if np.any(counted) else None)
+
+
+def _scanning_stage(run: Recording) -> tuple[StageParameters, Scan] | None:
+    """Return the stage of a run, without its drivers, and the scan that it follows; None if it follows none."""
+    configuration = configuration_of(run) if run.axes and run.configuration else None
+    if configuration is None or configuration.stage is None:
+        return None
+    parameters = StageParameters.from_configuration(without_drivers(configuration, run.axes))
+    return None if parameters.scan is None else (parameters, parameters.scan)
+
+
+def _on_path(scan: Scan, periods: int, moment: np.ndarray, first: float | None = None) -> np.ndarray:
+    """Return whether each sample counts: on the path of a scan, from the time ``first`` on the path on [s].
+
+    The scan ends after ``periods`` periods; 0: never. By default ``first`` is the result of
+    :func:`~hysteresis_ros.analysis.scan_report.judged_from`.
+
+    Units: ``moment`` [s], the time on the path; NaN: not on the path.
+    """
+    from hysteresis_ros.analysis.scan_report import judged_from
+
+    ends = periods * scan.period or np.inf
+    there = (moment >= -1e-9) & (moment < ends - 1e-9)
+    return there & (moment >= (judged_from(scan, moment[there]) if first is None else first) - 1e-9)
 
 
 #: Time differences below this are rounding errors of the stamps [s].

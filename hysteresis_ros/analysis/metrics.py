@@ -14,7 +14,7 @@ The recorded configuration determines the reference and the limits used for the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,6 @@ from hysteresis_ros.analysis.parts import (
     step_figures,
     stop_is_recorded,
     stopped,
-    within,
 )
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
@@ -187,17 +186,50 @@ FIGURES = (
 )
 
 
-def axes_figures(recording: Recording) -> dict[str, dict]:
-    """Return the figures of merit of each axis of a stage, by the name of the axis.
+#: Key in the metadata of an axis of a stage: time from which the errors of all its axes count [s].
+STAGE_BEGINS = "stage_begins_s"
 
-    All axes are evaluated from the time at which the last axis begins its scan
-    (:func:`hysteresis_ros.analysis.parts.scan_start`). So an axis that holds its position is evaluated only while the
-    others scan.
+
+def stage_axes(recording: Recording, begin: float | None = None) -> dict[str, Recording]:
+    """Return the axes of a stage by name; the errors of all of them count from the same time, ``begin`` [s], on.
+
+    By default this is the time at which the last axis begins its scan. So an axis that holds its position is evaluated
+    only while the others scan.
     """
     axes = {name: recording.axis(name) for name in recording.axes}
-    starts = [scan_start(judged_reference(one), one["displacement"]) for one in axes.values()]
-    begun = recording.time[max(starts)] - recording.time[0]
-    return {name: compute_metrics(within(one, begun, np.inf)) for name, one in axes.items()}
+    if begin is None:
+        begin = max((_begin(one) for one in axes.values()), default=0.0)
+    return {name: replace(one, metadata={**one.metadata, STAGE_BEGINS: begin}) for name, one in axes.items()}
+
+
+def _begin(recording: Recording) -> float:
+    """Return the time from which the errors of a single axis count [s]."""
+    begin = recording.time[0]
+    if recording.has("reference"):
+        run = _tracked(recording, axis_settings(recording))
+        run = run.at(np.isfinite(run.reference - run.displacement) & ~stopped(recording))
+        start = judged_start(recording, run)[0] if run.time.size else 0
+        begin = run.time[start] if start else begin
+    return float(begin)
+
+
+def judged_start(recording: Recording, run: Tracked) -> tuple[int, str]:
+    """Return the first sample of ``run`` whose error counts, and a note about it; empty if all samples count.
+
+    ``run`` has the samples of the recording in which the axis runs. In an excerpt all samples count. An axis of a stage
+    counts from the time that :func:`stage_axes` gives, if it still runs then; any other axis from the reversal at which
+    it follows its scan (:func:`hysteresis_ros.analysis.parts.scan_start`).
+    """
+    if recording.metadata.get("excerpt"):
+        return 0, ""
+    begin = recording.metadata.get(STAGE_BEGINS)
+    if begin is not None and begin <= run.time[-1]:
+        start = int(np.searchsorted(run.time, begin))
+        text = "of all axes of the stage are evaluated from {} s on; the beginning of the scan does not count"
+    else:
+        start = scan_start(run.reference, run.displacement)
+        text = "are evaluated from {} s on: the scan begins with a jump, and the axis follows from this reversal on"
+    return start, f"errors {text.format(f'{run.time[start]:.4g}')}" if start else ""
 
 
 def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:
@@ -207,9 +239,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     the controller's model. If it is unknown, as on hardware, the measured displacement is used, and the notes of the
     recording state this. With ``feedforward.preview`` every figure uses the reference delayed by that many samples,
     unless the axis learns: then every figure uses the undelayed reference, and the notes give the RMS error against the
-    delayed reference. Samples without reference or displacement do not count. If a scan begins with a jump, errors are
-    evaluated from the reversal at which the axis begins to follow the reference
-    (:func:`hysteresis_ros.analysis.parts.scan_start`); in an excerpt all samples count. Errors, steps, loops and the
+    delayed reference. Samples without reference or displacement do not count. :func:`judged_start` defines from which
+    sample on errors are evaluated: the motion into a scan does not count. Errors, steps, loops and the
     residual omit the samples in which the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`). Without a
     reference there are no errors, and the stroke is the range of the displacement.
 
@@ -274,7 +305,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
     if not recording.has("reference"):
         return _without_reference(recording, recording[actual] - offset, notes)
-    tracked = _Tracked(recording.time, judged_reference(recording, settings.preview), recording[actual] - offset)
+    tracked = _tracked(recording, settings)
     good = np.isfinite(tracked.reference) & np.isfinite(tracked.displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
@@ -287,7 +318,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     judged = np.flatnonzero(~off)
     if judged.size:
         running = tracked.at(judged)
-        start = 0 if recording.metadata.get("excerpt") else scan_start(running.reference, running.displacement)
+        start, since = judged_start(recording, running)
+        notes["recording"] = [*notes["recording"], *filter(None, [since])]
         figures.update(_error_figures(running, start, stroke, notes))
         place = np.flatnonzero(good)[judged[start:]]
         notes["recording"] = notes["recording"] + _reference_note(recording, settings, place, actual)
@@ -327,19 +359,25 @@ _JUDGED = (
 )
 
 
-class _Tracked(NamedTuple):
+class Tracked(NamedTuple):
     """Time [s], reference [m] and displacement [m] of a run, shape (N,) each."""
 
     time: np.ndarray
     reference: np.ndarray
     displacement: np.ndarray
 
-    def at(self, which: np.ndarray | slice) -> _Tracked:
+    def at(self, which: np.ndarray | slice) -> Tracked:
         """Return the chosen samples."""
-        return _Tracked(*(values[which] for values in self))
+        return Tracked(*(values[which] for values in self))
 
 
-def _residual_figure(run: _Tracked, stroke: float, notes: dict) -> dict[str, float]:
+def _tracked(recording: Recording, settings: AxisSettings) -> Tracked:
+    """Return the reference and the displacement that a run is evaluated with."""
+    displacement = recording[actual_name(recording)] - settings.offset
+    return Tracked(recording.time, judged_reference(recording, settings.preview), displacement)
+
+
+def _residual_figure(run: Tracked, stroke: float, notes: dict) -> dict[str, float]:
     zero = [hold for hold in find_holds(run.reference) if abs(hold.level) <= 1e-9 * stroke]
     zero = [hold for hold in zero if np.any(np.abs(run.reference[: hold.start]) > 1e-9 * stroke)]
     if not zero:
@@ -381,13 +419,7 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     return {"parts": [], **{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
 
-def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dict:
-    if start:
-        text = (
-            f"errors are evaluated from {run.time[start]:.4g} s on: the scan begins with a jump, and the axis follows "
-            "from this reversal on"
-        )
-        notes["recording"] = [*notes["recording"], text]
+def _error_figures(run: Tracked, start: int, stroke: float, notes: dict) -> dict:
     error = (run.reference - run.displacement)[start:]
     figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(run.time[start:], error)}
     if stroke == 0.0:
@@ -430,7 +462,7 @@ def _missing_note(recording: Recording, there) -> list[str]:
     ]
 
 
-def _undisturbed_figures(recording: Recording, place, run: _Tracked, notes: dict) -> dict:
+def _undisturbed_figures(recording: Recording, place, run: Tracked, notes: dict) -> dict:
     """Return the errors of the undisturbed samples, and the fraction of disturbed samples [%]."""
     if not recording.has("skipped"):
         return {}
@@ -472,7 +504,7 @@ def absolute_integral(time, error) -> float:
     return float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1])))
 
 
-def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
+def _step_figures(parts, run: Tracked, notes: dict) -> dict:
     """Return the worst value of each figure over all steps."""
     inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
     each = [step_figures(*run.at(part)) for part in inside]
@@ -492,7 +524,7 @@ def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
     return found
 
 
-def _loop_figures(run: _Tracked, start: int, voltage: np.ndarray | None, stroke: float, notes: dict) -> dict:
+def _loop_figures(run: Tracked, start: int, voltage: np.ndarray | None, stroke: float, notes: dict) -> dict:
     """Return the loop widths from the sample ``start`` on, or of the whole run if it has no loop after ``start``."""
     figures: dict = {}
     opening = loop_opening(run.reference[start:], run.displacement[start:])

@@ -19,8 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
-from hysteresis_ros.analysis.metrics import AxisSettings, actual_name, axis_settings, judged_reference
-from hysteresis_ros.analysis.parts import REVERSAL, disturbed, period_ends, scan_start, stopped
+from hysteresis_ros.analysis.metrics import (
+    AxisSettings,
+    Tracked,
+    actual_name,
+    axis_settings,
+    judged_reference,
+    judged_start,
+)
+from hysteresis_ros.analysis.parts import REVERSAL, disturbed, period_ends, stopped
 from hysteresis_ros.analysis.plots import Chart, Line, length_unit
 from hysteresis_ros.models.adaptation import ADAPTING
 from hysteresis_ros.recordings.dataset import Recording
@@ -96,9 +103,8 @@ def judged(recording: Recording) -> Judged:
     reference = judged_reference(recording)
     error = np.where(stopped(recording), np.nan, reference - displacement)
     good = np.flatnonzero(np.isfinite(error))
-    start = 0
-    if good.size and not recording.metadata.get("excerpt"):
-        start = int(good[scan_start(reference[good], displacement[good])])
+    tracked = Tracked(recording.time, reference, displacement).at(good)
+    start = int(good[judged_start(recording, tracked)[0]]) if good.size else 0
     run = Judged(recording, settings, displacement, reference, error, start)
     return replace(run, unit=length_unit(largest_error(run)))
 

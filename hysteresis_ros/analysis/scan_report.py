@@ -22,9 +22,8 @@ from functools import cached_property
 
 import numpy as np
 
-from hysteresis_ros.analysis.metrics import judged_reference
+from hysteresis_ros.analysis.metrics import Tracked, judged_reference, judged_start
 from hysteresis_ros.analysis.page import render_page, require_page, write_page
-from hysteresis_ros.analysis.parts import scan_start
 from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
 from hysteresis_ros.analysis.tables import aligned, shown, shown_row
 from hysteresis_ros.errors import RecordingError
@@ -118,7 +117,7 @@ class PlaneRun(InPlane):
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
     """Return the run of the first two axes of a recording; None if they do not form a plane.
 
-    The run begins when the later of the two axes begins its scan, as in the figures of a stage.
+    The run begins when the errors of both axes count.
     """
     if len(axes) < 2:
         return None
@@ -128,7 +127,10 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
         return None
     reference = np.array([judged_reference(run) for run in (one, other)])
     displacement = np.array([run["displacement"] for run in (one, other)])
-    begin = max(map(scan_start, reference, displacement))
+    begin = max(
+        judged_start(run, Tracked(one.time, *signals))[0]
+        for run, *signals in zip((one, other), reference, displacement, strict=True)
+    )
     names = (first.rpartition(" ")[2], second.rpartition(" ")[2])
     times = one.time[begin:]
     found = PlaneRun(times, reference[:, begin:], displacement[:, begin:], names, trigger_times((one, other), times))

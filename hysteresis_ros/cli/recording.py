@@ -56,11 +56,10 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
         require_page(output)
     with shown("reading"):
         read = {label: load_run(path, namespace, further=True) for label, path in labels_of(recordings).items()}
-        axes = {label: {f"{label} {name}": run.axis(name) for name in run.axes} for label, run in read.items()}
         runs = {
             label: _excerpt(label, one, range_, skip, last_periods)
             for whole, run in read.items()
-            for label, one in (axes[whole] or {whole: run}).items()
+            for label, one in _axes(whole, run).items()
         }
     plane = None
     if len(read) == 1 and len(runs) > 1 and last_periods is None:
@@ -80,6 +79,13 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
         _single(run, output, title or label, json_path)
     if output is not None and json_path != "-":
         click.echo(f"report: {output}")
+
+
+def _axes(label: str, run) -> dict[str, Recording]:
+    """Return the axes of a run of a stage, or the run of a single axis, by the labels of the report."""
+    from hysteresis_ros.api import stage_axes_of
+
+    return {f"{label} {name}": one for name, one in stage_axes_of(run).items()} if run.axes else {label: run}
 
 
 def _scanned(run, axes, output, title: str, json_path: str | None, part) -> bool:

@@ -172,9 +172,9 @@ def _say_triggers(recording, axis: str = "") -> None:
 
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, asked) -> None:
     """Run a stage, write its recording, and print the errors of its axes and those due to coupling."""
-    from hysteresis_ros.analysis.metrics import axes_figures
+    from hysteresis_ros.analysis.metrics import STAGE_BEGINS, compute_metrics
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
-    from hysteresis_ros.api import scan_run
+    from hysteresis_ros.api import scan_run, stage_axes_of
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.stage_response import scan_warnings
     from hysteresis_ros.loop.stage_simulation import chosen_stage, coupling_errors, simulate_stage
@@ -200,12 +200,14 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s), axes "
         f"{', '.join(parameters.names)}"
     )
-    for name, figures in axes_figures(recording).items():
+    for name, axis in stage_axes_of(recording).items():
+        figures = compute_metrics(axis, parts=False)
         rms, peak = readable(figures["rms_error_m"], "m"), readable(figures["max_error_m"], "m")
-        click.echo(f"{name}: RMS error {rms}, maximum {peak}")
-        _say_triggers(recording.axis(name), f"{name}: ")
-        if faults or recording.axis(name)["tripped"].any():
-            for line in mode_lines(recording.axis(name)):
+        begin = axis.metadata[STAGE_BEGINS] - axis.time[0]
+        click.echo(f"{name}: RMS error {rms}, maximum {peak}" + (f", from {begin:.4g} s on" if begin else ""))
+        _say_triggers(axis, f"{name}: ")
+        if faults or axis["tripped"].any():
+            for line in mode_lines(axis):
                 click.echo(f"{name}: {line}")
     if scanned is not None:
         click.echo(f"scan from {scanned.time[0]:.6g} s on, including the time between samples:")

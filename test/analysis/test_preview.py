@@ -15,14 +15,15 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from hysteresis_ros.analysis.metrics import (  # noqa: E402
-    axes_figures,
     axis_settings,
     compute_metrics,  # noqa: E402
     judged_reference,
+    stage_axes,
 )
 from hysteresis_ros.analysis.parts import within  # noqa: E402
 from hysteresis_ros.analysis.report import render_report  # noqa: E402
 from hysteresis_ros.analysis.run_charts import judged, traces_chart  # noqa: E402
+from hysteresis_ros.analysis.scan_report import plane_of  # noqa: E402
 from hysteresis_ros.analysis.tables import format_table  # noqa: E402
 from hysteresis_ros.laboratory.papers.runs import loop_width, step_figures  # noqa: E402
 from hysteresis_ros.recordings import Recording  # noqa: E402
@@ -117,5 +118,12 @@ def test_all_axes_of_a_stage_count_from_where_the_last_one_has_begun_its_scan():
         reference = 1e-6 * np.abs((number / half + 1.0) % 2.0 - 1.0) + 1e-6
         error = np.where(number < half, 5e-7, np.where(number < 300, 5e-9, 1e-9))
         axes[name] = Recording(number / 1e3, {"reference": reference, "displacement": reference - error})
-    for found in axes_figures(Recording.of_axes(axes, {})).values():
-        assert found["max_error_m"] == pytest.approx(1e-9, rel=1e-6) and found["samples"] == 2700
+    for axis in stage_axes(Recording.of_axes(axes, {})).values():
+        found = compute_metrics(axis)
+        assert found["max_error_m"] == pytest.approx(1e-9, rel=1e-6) and found["samples"] == 3000
+        assert any(
+            "errors of all axes of the stage are evaluated from 0.3 s on" in n for n in found["notes"]["recording"]
+        )
+        assert judged(axis).start == 300, "the charts count the same samples"
+        assert compute_metrics(within(axis, 0.0, 0.5))["max_error_m"] == found["max_error_m"]
+    assert plane_of(stage_axes(Recording.of_axes(axes, {}))).time[0] == 0.3

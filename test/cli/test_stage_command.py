@@ -31,6 +31,7 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import with_scan
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.units import readable
 
 
 @pytest.fixture(scope="module")
@@ -261,6 +262,14 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
     printed = re.search(r"RMS error in the plane +(\S+)  µm", said)[1]
     assert float(printed) == pytest.approx(1e6 * figures["scan"]["rms_error_m"], rel=1e-3)
     assert set(figures["runs"]) == {"run.npz x", "run.npz y"}
+    axes = hr.metrics(path)
+    for name in ("x", "y"):
+        # the axes begin far from the path; their errors count where those in the plane do
+        found = figures["runs"][f"run.npz {name}"]
+        assert found["max_error_m"] == axes[name]["max_error_m"] < 1.01 * figures["scan"]["max_error_m"]
+        assert any("evaluated from 0.12 s on" in note for note in found["notes"]["recording"])
+        rms = re.search(rf"{name}: RMS error (\S+ .?m), maximum .*, from 0.12 s on", said)[1]
+        assert rms == readable(found["rms_error_m"], "m"), "simulate and report agree"
     said = hysteresis("report", path, "-o", page, "--range", "0.12s:0.18s")
     assert "scan, 0.12 … 0.18 s:" in said and "report: " in said
     html = page.read_text(encoding="utf-8")
