@@ -692,7 +692,8 @@ def simulate(
     """Run an axis, or a stage of coupled axes, offline from rest.
 
     The result of an axis is bit-identical to a run of its nodes in lockstep. If the axis may be unable to follow its
-    reference, a Python warning reports this.
+    reference, or if its output was limited by the range or a slew rate for more than a moment, a Python warning reports
+    this.
 
     Parameters
     ----------
@@ -751,6 +752,8 @@ def simulate(
     >>> run.displacement.shape, run.units["displacement"]
     ((30,), 'm')
     """
+    from hysteresis_ros.analysis.metrics import limited_text
+
     configuration, words = configuration_of(config), _words(faults)
     if quiet and (axes is not None or configuration.stage is not None):
         raise ConfigurationError("quiet is for a single axis: leave it out")
@@ -777,7 +780,9 @@ def simulate(
             axes_of = {name: stage.axes[stage.place(name)] for name in setpoints}
             setpoints = {name: _setpoints(f"setpoints of {name}", setpoints[name], axes_of[name]) for name in axes_of}
         recording = simulate_stage(stage, duration=duration, setpoints=setpoints)
-        _warn(unreached(words, len(recording), stage.sample_rate))
+        limited = {name: limited_text(recording.axis(name)) for name in recording.axes}
+        reached = unreached(words, len(recording), stage.sample_rate)
+        _warn([*reached, *(f"{name}: {text}" for name, text in limited.items() if text)])
         return Run.of(recording)
     if isinstance(setpoints, Mapping):
         raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one array")
@@ -791,7 +796,7 @@ def simulate(
     run = simulate_axis(
         axis, duration=duration, setpoints=given, requests=requests, speeds=speeds, quiet=quiets_of(quiet)
     )
-    _warn(unreached(words, len(run), axis.plant_simulator.sample_rate))
+    _warn([*unreached(words, len(run), axis.plant_simulator.sample_rate), *filter(None, [limited_text(run)])])
     return Run.of(run)
 
 

@@ -37,7 +37,7 @@ from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.loops import loop_opening
 from hysteresis_ros.recordings.provenance import configured
-from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
+from hysteresis_ros.signals import LEAST_DIFFERENCE, MODE_STALE, MODE_TRIPPED
 from hysteresis_ros.units import readable
 
 
@@ -72,22 +72,30 @@ def reference_delay(preview: int, learning: str) -> int:
 
 def axis_settings(recording: Recording) -> AxisSettings:
     """Return the settings in the recorded configuration; missing settings are None or 0."""
-    text, namespace = recording.configuration, str(recording.metadata.get("namespace", ""))
-    limits = {
-        **_group(configured(text, "plant_simulator", namespace), "limits."),
-        **_group(configured(text, "hysteresis_compensator", namespace), "limits."),
-    }
-    controller = configured(text, "motion_controller", namespace)
+    limits = _voltage_limits(recording, "plant_simulator") | _voltage_limits(recording, "hysteresis_compensator")
+    controller = _configured(recording, "motion_controller")
     preview = controller.get("feedforward.preview", 0)
     preview = preview if isinstance(preview, int) and not isinstance(preview, bool) and preview > 0 else 0
     late = reference_delay(preview, controller.get("learning.type", "none"))
     return AxisSettings(
-        _number(limits.get("minimum")),
-        _number(limits.get("maximum")),
+        limits.get("minimum"),
+        limits.get("maximum"),
         _offset(_group(controller, "model.preload.")),
         late,
         preview - late,
     )
+
+
+def _configured(recording: Recording, node: str) -> dict:
+    """Return the recorded parameters of a node."""
+    return configured(recording.configuration, node, str(recording.metadata.get("namespace", "")))
+
+
+def _voltage_limits(recording: Recording, node: str) -> dict[str, float]:
+    """Return ``minimum`` and ``maximum`` of the recorded limits of a node [V], as far as they are numbers."""
+    limits = _group(_configured(recording, node), "limits.")
+    found = {name: _number(limits.get(name)) for name in ("minimum", "maximum")}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
@@ -664,9 +672,13 @@ def limited_text(recording: Recording) -> str:
     rest = cut & ~away
     if recording.has("voltage"):
         voltage = recording["voltage"]
-        ends = rest & ((voltage <= np.min(voltage)) | (voltage >= np.max(voltage)))
+        # without a recorded range, a voltage that stays at an extreme is at the end of the range
         still = np.concatenate([[False], voltage[1:] == voltage[:-1]])
-        ranged = ends & still
+        ends = still & ((voltage <= np.min(voltage)) | (voltage >= np.max(voltage)))
+        for node in ("plant_simulator", "hysteresis_compensator"):
+            for limit in _voltage_limits(recording, node).values():
+                ends |= np.abs(voltage - limit) <= LEAST_DIFFERENCE
+        ranged = rest & ends
         reasons += [("the range limits.minimum … limits.maximum", ranged)]
         rest = rest & ~ranged
     reasons += [

@@ -131,6 +131,7 @@ def simulate(
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
     _warn_unreached(faults, recording, parameters.plant_simulator.sample_rate)
+    _warn_limited(recording)
     if faults or quiets or recording["tripped"].any():
         for line in mode_lines(recording):
             click.echo(line)
@@ -157,6 +158,15 @@ def _warn_unreached(faults, recording, rate: float) -> None:
 
     for warning in unreached(faults, len(recording), rate):
         click.echo(f"hysteresis: warning: {warning}", err=True)
+
+
+def _warn_limited(recording, axis: str = "") -> None:
+    """Warn of an output that was limited for long."""
+    from hysteresis_ros.analysis.metrics import limited_text
+
+    limited = limited_text(recording)
+    if limited:
+        click.echo(f"hysteresis: warning: {axis}{limited}", err=True)
 
 
 def _say_triggers(recording, axis: str = "") -> None:
@@ -205,6 +215,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         rms, peak = readable(figures["rms_error_m"], "m"), readable(figures["max_error_m"], "m")
         begin = axis.metadata[STAGE_BEGINS] - axis.time[0]
         click.echo(f"{name}: RMS error {rms}, maximum {peak}" + (f", from {begin:.4g} s on" if begin else ""))
+        _warn_limited(axis, f"{name}: ")
         _say_triggers(axis, f"{name}: ")
         if faults or axis["tripped"].any():
             for line in mode_lines(axis):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import hysteresis_ros as hr
 from hysteresis_ros.analysis.metrics import limited_text
 from hysteresis_ros.analysis.report import render_report, sampling_text
 from hysteresis_ros.cli.main import main
@@ -75,6 +76,27 @@ def test_the_range_and_the_way_to_safe_are_named():
     ends = (voltage == 0.0) | (voltage == 100.0)
     assert "by the range limits.minimum … limits.maximum" in limited_text(run(ends, voltage))
     assert "by the ramp to safe_voltage at safe_slew_rate (50 %)" in limited_text(run(np.arange(N) < 1000, mode=STALE))
+
+
+def test_single_samples_at_the_recorded_range_are_told_from_the_slew_rate():
+    """Every tenth sample is cut at 0 V, every fifth of the others by the slew rate."""
+    number = np.arange(N)
+    voltage = np.where(number % 10 == 0, 0.0, 50.0 + 40.0 * np.sin(0.02 * number))
+    text = "/**/hysteresis_compensator:\n  ros__parameters: {limits: {minimum: 0.0, maximum: 100.0}}\n"
+    recording = run((number % 10 == 0) | (number % 20 == 5), voltage)
+    said = limited_text(Recording(recording.time, recording.signals, {}, {"configuration": text}))
+    assert "by the range limits.minimum … limits.maximum (10 %), safe_slew_rate or limits.slew_rate (5 %)" in said
+
+
+def test_simulations_warn_of_a_limited_output(tmp_path):
+    configuration = hr.load("kim2009").override("hysteresis_compensator", limits__slew_rate=100.0)
+    with pytest.warns(UserWarning, match="the output was limited for .* by safe_slew_rate or limits.slew_rate"):
+        run = hr.simulate(configuration, duration=0.1)
+    configuration.save(tmp_path / "slow.yaml")
+    result = CliRunner().invoke(
+        main, ["simulate", str(tmp_path / "slow.yaml"), "--duration", "0.1", "-o", str(tmp_path / "run.npz")]
+    )
+    assert result.exit_code == 0 and f"hysteresis: warning: {limited_text(run)}" in result.output
 
 
 def test_a_recording_that_does_not_say_what_was_cut_says_nothing():
