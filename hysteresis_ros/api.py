@@ -207,6 +207,8 @@ class Run(Recording):  # numpydoc ignore=PR02
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the run as ``.npz``, ``.csv`` or ``.mcap``; the suffix of the path selects the format.
 
+        A ``.csv`` has no metadata; if this loses a preload offset, a Python warning states it.
+
         Parameters
         ----------
         path : path-like
@@ -217,7 +219,10 @@ class Run(Recording):  # numpydoc ignore=PR02
         RecordingError
             The suffix is unknown, or the file cannot be written.
         """
+        from hysteresis_ros.analysis.metrics import lost_offsets
+
         save_run(self, path)
+        _warn(lost_offsets(self, path))
 
 
 class StageRun(Run):  # numpydoc ignore=PR02

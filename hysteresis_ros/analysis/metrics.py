@@ -126,6 +126,20 @@ def delayed(reference, preview: int) -> np.ndarray:
     return np.concatenate([np.full(preview, reference[0]), reference])[: len(reference)]
 
 
+def lost_offsets(recording: Recording, path) -> list[str]:
+    """Return a warning for each axis whose preload offset is not in the file ``path``: a CSV table has no metadata."""
+    if not str(path).lower().endswith(".csv"):
+        return []
+    axes = {f"{name}: ": recording.axis(name) for name in recording.axes} or {"": recording}
+    offsets = {name: axis_settings(axis).offset for name, axis in axes.items()}
+    return [
+        f"{path}: {name}a CSV table does not contain the preload offset of {offset * 1e6:.6g} µm, so a report of it "
+        "counts this offset as an error; write .npz or .mcap, which contain it"
+        for name, offset in offsets.items()
+        if offset
+    ]
+
+
 def _offset(values: dict) -> float:
     if not values:
         return 0.0

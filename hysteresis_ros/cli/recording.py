@@ -205,6 +205,14 @@ def equal(name: object, samples: int) -> str:
     return f"{name}: {samples} samples equal the offline twin bit for bit, none missing"
 
 
+def warn_lost_offsets(run: Recording, output) -> None:
+    """Warn of preload offsets that the file ``output`` does not contain."""
+    from hysteresis_ros.analysis.metrics import lost_offsets
+
+    for warning in lost_offsets(run, output):
+        click.echo(f"hysteresis: warning: {warning}", err=True)
+
+
 @click.command()
 @click.argument("recording", type=click.Path(path_type=pathlib.Path))
 @click.option(
@@ -229,6 +237,7 @@ def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None)
     click.echo(f"{output}: {len(run)} samples, {missing} missing")
     for note in run.notes:
         click.echo(f"note: {note}", err=True)
+    warn_lost_offsets(run, output)
 
 
 @click.command(short_help="Repair a bag that was cut off or is damaged.")

@@ -28,6 +28,7 @@ from hysteresis_ros.cli.options import (
     triggering,
 )
 from hysteresis_ros.cli.progress import shown
+from hysteresis_ros.cli.recording import warn_lost_offsets
 
 
 @click.command(short_help="Simulate a configuration without ROS.")
@@ -130,6 +131,7 @@ def simulate(
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
+    warn_lost_offsets(recording, output)
     _warn_unreached(faults, recording, parameters.plant_simulator.sample_rate)
     _warn_limited(recording)
     if faults or quiets or recording["tripped"].any():
@@ -204,6 +206,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         coupled = [] if faults or replayed or parameters.scan else coupling_errors(parameters, duration)
         scanned = scan_run(recording) if parameters.scan else None
     save_run(recording, output)
+    warn_lost_offsets(recording, output)
     rate = parameters.sample_rate
     _warn_unreached(faults, recording, rate)
     click.echo(

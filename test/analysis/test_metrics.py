@@ -10,16 +10,20 @@
 """Figures of merit against closed forms."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+import hysteresis_ros as hr
 from hysteresis_ros.analysis.inchworm import MOVE_FIGURES, RUN_FIGURES
-from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
+from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, lost_offsets
 from hysteresis_ros.analysis.parts import step_responses
 from hysteresis_ros.analysis.tables import format_table
+from hysteresis_ros.cli.main import main
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import Recording
 from hysteresis_ros.recordings.loops import loop_opening, turning_points
@@ -310,6 +314,24 @@ def test_times_of_reception_give_rate_and_jitter():
     figures = compute_metrics(run(time, time, time, {"timing": {"rate_hz": 998.0, "jitter_p99_s": 2e-5}}))
     assert figures["rate_hz"] == 998.0 and figures["jitter_p99_s"] == 2e-5
     assert figures["sample_rate_hz"] == pytest.approx(1000.0)
+
+
+def test_a_csv_that_loses_a_preload_offset_is_warned_of(tmp_path):
+    """A CSV table has no metadata, so a report of it would count the offset as an error."""
+    time = np.arange(50) / 1000.0
+    signals = {"reference": time, "displacement": time + 2e-6}
+    text = "/**/motion_controller:\n  ros__parameters: {model: {preload: {force: 1.0, A1: 2.0e-6}}}\n"
+    made = hr.Run(time, signals, {}, {"configuration": text})
+    with pytest.warns(UserWarning, match=r"preload offset of 2 µm.*write \.npz or \.mcap"):
+        made.save(tmp_path / "run.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made.save(tmp_path / "run.npz")
+        hr.Run(time, signals).save(tmp_path / "none.csv")
+    arguments = ["export", str(tmp_path / "run.npz"), "-o", str(tmp_path / "again.csv")]
+    assert "a CSV table does not contain the preload offset of 2 µm" in CliRunner().invoke(main, arguments).output
+    stage = Recording.of_axes({"x": made, "y": hr.Run(time, signals)}, {"axes": {"x": made.metadata}})
+    assert [text.split(": ")[1] for text in lost_offsets(stage, "s.csv")] == ["x"]
 
 
 def test_preload_of_the_controllers_model_is_no_error():
