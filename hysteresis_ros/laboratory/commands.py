@@ -133,7 +133,8 @@ def _pages_and_files(outputs, best: bool):
     "metrics",
     multiple=True,
     metavar="NAME",
-    help="Metric to store; by default rms_error_m, for an inchworm motor final_error_rms_m; repeatable.",
+    help="Metric to store; by default rms_error_m, for an inchworm motor final_error_rms_m; repeatable. "
+    "Errors include the time after the plant stopped the axis.",
 )
 @click.option(
     "--bound",

@@ -129,8 +129,9 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
 
     An error is the reference minus the true displacement, also between the samples. The preload
     offset of the controller's model is subtracted from the displacement. The reference is delayed by its preview,
-    unless the controller learns; it is linear between samples, except at jumps. The other metrics, the errors of a
-    plant with a camera and all metrics of an inchworm motor are defined at the samples
+    unless the controller learns; it is linear between samples, except at jumps. Unlike in a report, errors include the
+    time after the plant stopped the axis, so that all runs are evaluated over the same time. The other metrics, the
+    errors of a plant with a camera and all metrics of an inchworm motor are defined at the samples
     (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`,
     :func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
