@@ -88,6 +88,7 @@ def test_single_samples_at_the_recorded_range_are_told_from_the_slew_rate():
     assert "by the range limits.minimum … limits.maximum (10 %), safe_slew_rate or limits.slew_rate (5 %)" in said
 
 
+@pytest.mark.slow
 def test_simulations_warn_of_a_limited_output(tmp_path):
     configuration = hr.load("kim2009").override("hysteresis_compensator", limits__slew_rate=100.0)
     with pytest.warns(UserWarning, match="the output was limited for .* by safe_slew_rate or limits.slew_rate"):

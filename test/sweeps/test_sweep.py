@@ -502,3 +502,17 @@ def test_a_run_whose_axis_is_stopped_on_its_way_counts_as_tripped(fault, tripped
     variations = parse_variations(PRODUCT, one)
     found = Study(one, variations, ("rms_error_m",)).runs(0, np.array([[0.5, 0.5]]))
     assert [row[-1] for row in found.rows] == [tripped] and not found.refused
+
+
+@pytest.mark.slow
+def test_errors_of_a_run_that_trips_include_the_time_after_it_unlike_a_report():
+    """A sample of delay that the controller does not know makes the loop unstable."""
+    waveform = dict(waveform__type="sine", waveform__frequency=20.0, waveform__amplitude=5e-6, waveform__offset=5e-6)
+    configuration = load_configuration("kim2009").override("plant_simulator", dynamics__delay=1.0 / 3000.0)
+    one = single_axis(configuration.override("reference_generator", **waveform)).with_duration(0.3)
+    variations = parse_variations(["plant_simulator.sensor.offset=0m,1e-12m"], one)
+    point = np.array([0.5])
+    ((error, tripped),) = Study(one, variations, ("rms_error_m",)).runs(0, point[np.newaxis]).rows
+    run = simulate(varied(one, variations, point))
+    assert tripped and error == pytest.approx(np.sqrt(np.mean((run["reference"] - run["displacement"]) ** 2)), rel=0.1)
+    assert compute_metrics(run)["rms_error_m"] < 0.6 * error
