@@ -432,9 +432,34 @@ def _check_delay(u, y, sample_time):
 def _drift_beside_loops(time, u, y) -> float:
     """Return the drift of an output over a recording without a model; 0 if insignificant, NaN if it is not known.
 
-    The output is fitted by a cubic of the input, plays, the speed of the input, the size of the present loop, and time.
-    If the loops grow or shrink all the time, the drift is not known, because such loops move the mean output like a
-    drift. Units: ``time`` [s]; the result has the unit of ``y``.
+    The output is fitted by the terms of :func:`_terms_of_loops`, and by time. Units: ``time`` [s]; the result has the
+    unit of ``y``.
+    """
+    table, step = _terms_of_loops(u)
+    line, y = ((time - time[0]) / np.ptp(time))[::step], y[::step]
+    both = np.column_stack([line, y])
+    left, residual = (both - table @ np.linalg.lstsq(table, both, rcond=1e-8)[0]).T
+    if np.std(left) < LEAST_LEFT * np.std(line):
+        return np.nan
+    drift = float(left @ residual / (left @ left))
+    return drift if DRIFT.improves(float(np.std(residual - drift * left)), float(np.std(residual))) else 0.0
+
+
+def loops_resemble_drift(u) -> bool:
+    """Return whether the loops of an input, shape (N,), grow or shrink all the time.
+
+    Such loops move the mean output like a drift, so an error in the shape of the loops looks like a drift.
+    """
+    table, step = _terms_of_loops(u)
+    line = np.linspace(0.0, 1.0, u.size)[::step]
+    left = line - table @ np.linalg.lstsq(table, line, rcond=1e-8)[0]
+    return bool(np.std(left) < LEAST_LEFT * np.std(line))
+
+
+def _terms_of_loops(u) -> tuple[np.ndarray, int]:
+    """Return the terms of a loop at every n-th sample of an input, and n.
+
+    The terms are a cubic of the input, plays, the speed of the input, and the size of the present loop and its square.
     """
     span = np.ptp(u)
     scaled, turns = (u - u.mean()) / span, turning_points(u)
@@ -444,14 +469,7 @@ def _drift_beside_loops(time, u, y) -> float:
     powers = np.vander(scaled, 4)
     whole = np.column_stack([powers, plays(u, radii) / span, speed / np.max(np.abs(speed)), size, size**2])
     step = -(-u.size // TRIED_SAMPLES)
-    table, line, y = whole[::step], ((time - time[0]) / np.ptp(time))[::step], y[::step]
-
-    both = np.column_stack([line, y])
-    left, residual = (both - table @ np.linalg.lstsq(table, both, rcond=1e-8)[0]).T
-    if np.std(left) < LEAST_LEFT * np.std(line):
-        return np.nan
-    drift = float(left @ residual / (left @ left))
-    return drift if DRIFT.improves(float(np.std(residual - drift * left)), float(np.std(residual))) else 0.0
+    return whole[::step], step
 
 
 def _check_drift(time, u, y, unit):

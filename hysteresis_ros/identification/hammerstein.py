@@ -40,12 +40,12 @@ from hysteresis_ros.identification.preprocessing import (
     Condensed,
     cleaning_notes,
     condense,
+    drift_threshold,
     notable_outliers,
     repeated,
 )
 from hysteresis_ros.identification.thresholds import (
     DELAY_OR_LAG,
-    DRIFT,
     LINEAR_PART,
     SETTLED_START,
     STANDARD_ERRORS,
@@ -473,7 +473,8 @@ def without_drift(fit, data):
     still = fit(data)
     if invalid(still) is None and not seen_drift(still).certain:
         return still
-    return survivor(usable([still, fit(replace(data, drifts=True))]), stretches=1, thresholds=(DRIFT,))[0]
+    threshold = drift_threshold(data.counted(data.voltage))
+    return survivor(usable([still, fit(replace(data, drifts=True))]), stretches=1, thresholds=(threshold,))[0]
 
 
 def seen_drift(fit) -> Drift:

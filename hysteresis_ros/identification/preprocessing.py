@@ -44,8 +44,16 @@ from hysteresis_ros.identification.data import (
     check_samples,
     checked_signals,
     clipped_samples,
+    loops_resemble_drift,
 )
-from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
+from hysteresis_ros.identification.thresholds import (
+    DRIFT,
+    DRIFT_OF_CHANGING_LOOPS,
+    MOST_OUTLIERS,
+    OUTLIERS_MATTER,
+    OUTLYING,
+    Threshold,
+)
 from hysteresis_ros.models.play_operators import plays
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
@@ -462,7 +470,12 @@ def repeated(fit, look, state):
     return state, result
 
 
-def drift_of(error, kept) -> float:
+def drift_threshold(voltage) -> Threshold:
+    """Return the improvement on held-out blocks that a drift needs under this voltage [V], shape (N,)."""
+    return DRIFT_OF_CHANGING_LOOPS if loops_resemble_drift(voltage) else DRIFT
+
+
+def drift_of(error, kept, threshold: Threshold = DRIFT) -> float:
     """Return the drift per sample of an error, shape (N,); 0 if a drift does not help to predict held-out blocks."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
@@ -472,7 +485,7 @@ def drift_of(error, kept) -> float:
         for columns in left:
             found = np.linalg.lstsq(line[others, :columns], error[kept][others], rcond=None)[0]
             left[columns] += float(np.sum((error[kept][block] - line[block, :columns] @ found) ** 2))
-    if not left[2] < DRIFT.bound(1.0) ** 2 * left[1]:
+    if not left[2] < threshold.bound(1.0) ** 2 * left[1]:
         return 0.0
     return float(np.linalg.lstsq(line, error[kept], rcond=None)[0][1]) / len(error)
 
@@ -491,7 +504,7 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     places = np.arange(len(data))
     if drift is None:
         kept = np.flatnonzero(inliers(error, first)[first:]) + first
-        drift = drift_of(error, kept) / data.sample_time
+        drift = drift_of(error, kept, drift_threshold(data.input[first:])) / data.sample_time
     slope = drift * data.sample_time * places
     error = error - slope
     good = notable_outliers(error, first)

@@ -474,6 +474,14 @@ def _finished(
         beginning = float(np.sqrt(np.mean(omitted**2)))
         notes += _beginning_notes(data, beginning, result.numbers.get("predicted_rmse_m"), found.rmse)
         result = replace(result, numbers={**result.numbers, "beginning_rmse_m": beginning})
+    if result.drift:
+        sensed = as_sensed(data, predicted)
+        whole = judge(result.chain, data, sensed, skip=skip, free_offset=free, inverse=False)[0].rmse
+        result = replace(result, numbers={**result.numbers, "rmse_with_drift_m": whole})
+        notes.append(
+            f"the RMS error of {readable(found.rmse, 'm')} is that after removal of the drift; the model does not "
+            f"drift, so its RMS error on the recording itself is {readable(whole, 'm')}"
+        )
     notes += () if free else zero_warnings(data, result.chain)
     if found.rmse_percent_of_stroke > LEFT:
         notes.append(

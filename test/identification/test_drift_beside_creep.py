@@ -9,15 +9,20 @@
 
 """Drift is told from creep: a line in time counts only where it is more than slow creep could be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import hysteresis_ros as hr
+from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.drift import drift_beside_creep
-from hysteresis_ros.identification.hammerstein import seen_drift
+from hysteresis_ros.identification.hammerstein import seen_drift, without_drift
 from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.identification.procedures import predicted_error
+from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 
 STEP = 0.005
@@ -66,6 +71,35 @@ def test_an_identification_takes_slow_creep_for_no_drift_and_finds_a_drift_besid
     assert still.drift == 0.0 and "drift_m_per_s" not in still.numbers and still.drift_deviation > 0.0
     moving = fit_prandtl_ishlinskii(VOLTAGE, recorded(0.01, 5.0, 0.3e-6), STEP, density="exponential")
     assert moving.drift == pytest.approx(0.3e-6, abs=2.0 * moving.drift_deviation)
+
+
+@pytest.mark.slow
+def test_decaying_loops_of_another_model_are_no_drift():
+    cycle = 0.5 - 0.5 * np.cos(np.linspace(0.0, 2.0 * np.pi, 200))
+    voltage = np.concatenate([100.0 * cycle, 70.0 * cycle, 40.0 * cycle])
+    data = condense(voltage, hr.models.BoucWen.example().simulate(voltage), 1e-3, skip=0)
+
+    def fit(data):
+        return FreeWeights(data, 8, 0).behind(LinearPart())
+
+    # with a line, which is not part of the model, the fit has 49 nm
+    found = without_drift(fit, data)
+    assert not found.data.drifts and np.std(found.output() - data.displacement) < 80e-9
+    drifting = replace(data, displacement=data.displacement + 10e-6 * np.linspace(0.0, 1.0, len(voltage)))
+    assert without_drift(fit, drifting).data.drifts
+
+
+@pytest.mark.slow
+def test_the_error_with_a_drift_is_stated_too():
+    time = np.arange(1200) * STEP
+    voltage = 50.0 - 50.0 * np.cos(2.0 * np.pi * time)
+    measured = 1e-7 * voltage + 0.3e-6 * time + 10e-9 * np.random.default_rng(1).standard_normal(len(time))
+    data = IdentificationData(time, voltage, measured)
+    found = identify(data, "proportional", linear="none")
+    error = float(np.sqrt(np.mean((found.predict(voltage) - measured)[found.figures["skipped"] :] ** 2)))
+    assert found.figures["rmse_m"] < 11e-9 < 1e-6 < error
+    assert found.figures["rmse_with_drift_m"] == pytest.approx(error, rel=1e-6)
+    assert any("the model does not drift, so its RMS error on the recording itself is 1." in w for w in found.warnings)
 
 
 def test_the_predicted_error_adds_what_the_recording_does_not_determine():
