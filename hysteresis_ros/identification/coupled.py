@@ -37,8 +37,8 @@ import scipy
 from hysteresis_ros.arguments import Seconds, check_fields
 from hysteresis_ros.configuration import dump_configuration
 from hysteresis_ros.errors import IdentificationError, Problem
-from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.frequency_response import ResponseMatrix, experiments_of, response_matrix
+from hysteresis_ros.identification.data import CONSTANT, DataError
+from hysteresis_ros.identification.frequency_response import SAME, ResponseMatrix, experiments_of, response_matrix
 from hysteresis_ros.identification.linear_systems import LinearModel
 from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.structure_fit import LINEAR_GROUPS, Experiments, ModalStructure, refine_in_time
@@ -67,6 +67,8 @@ EARLY_STEPS = 6
 EARLY_REALISATIONS = 2
 #: The search ends after this number of consecutive steps without a smaller error on the held-out realisations.
 PATIENCE = 3
+#: Largest fraction of the samples of a realisation that may differ from those one period later (skipped samples).
+MOST_CHANGED = 0.1
 #: Allowed weightings of the errors.
 WEIGHTINGS = ("distortion", "absolute")
 #: Stages of the search, with the parameters that each stage adds to the parameters of the earlier stages.
@@ -76,6 +78,12 @@ STAGES = (
     ("C_z", ("C_z",)),
     ("B_w and radii", ("B_w", "radii")),
 )
+
+
+def changed_samples(u: np.ndarray, period: int) -> np.ndarray:
+    """Return, for each sample of ``u``, shape (N, m), whether its inputs differ from those one period later."""
+    size = float(np.sqrt(np.mean(np.var(u, axis=0))))
+    return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +104,7 @@ class StructureData:
     Raises
     ------
     DataError
-        The shapes of inputs and outputs do not fit together, or a value is not finite.
+        The shapes of inputs and outputs do not fit together, a value is not finite, or the inputs do not repeat.
     """
 
     u: np.ndarray
@@ -114,6 +122,20 @@ class StructureData:
             raise DataError("uniform", f"sample_time = {self.sample_time!r}: must be > 0 s")
         object.__setattr__(self, "u", np.asarray(self.u, dtype=float))
         object.__setattr__(self, "y", np.asarray(self.y, dtype=float))
+        self._require_periodic()
+
+    def _require_periodic(self) -> None:
+        if self.u.shape[1] == self.period:
+            return
+        changed = [float(np.mean(changed_samples(one, self.period))) for one in self.u]
+        worst = int(np.argmax(changed))
+        if changed[worst] > MOST_CHANGED:
+            raise DataError(
+                "shape",
+                f"the inputs do not repeat with a period of {self.period} samples: {100 * changed[worst]:.0f} % of the "
+                f"samples of realisation {worst} differ from those one period later (allowed: {100 * MOST_CHANGED:g} "
+                "%); give the period of the excitation",
+            )
 
     @property
     def levels(self) -> tuple[np.ndarray, ...]:

@@ -24,9 +24,8 @@ import numpy as np
 from hysteresis_ros.arguments import Seconds, check_fields
 from hysteresis_ros.errors import IdentificationError, Problem, did_you_mean
 from hysteresis_ros.files import read_heads
-from hysteresis_ros.identification.coupled import StructureData
+from hysteresis_ros.identification.coupled import MOST_CHANGED, StructureData, changed_samples
 from hysteresis_ros.identification.data import CONSTANT, DataError, check_uniform
-from hysteresis_ros.identification.frequency_response import SAME
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
 from hysteresis_ros.recordings.foreign_tables import TABLE_SUFFIXES, Selection, choose_columns, open_table, split_choice
@@ -47,8 +46,6 @@ STILL = 0.02
 ASKED = "reference"
 #: Name of the signal that states whether the sample was skipped.
 SKIPPED = "skipped"
-#: Largest fraction of the samples of a realisation that skipped samples may change.
-MOST_CHANGED = 0.1
 
 
 @dataclass(frozen=True)
@@ -297,7 +294,7 @@ def find_period(u: np.ndarray) -> int | None:
 def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
     """Return the spans (first sample, last sample + 1) in which the inputs move and repeat for at least two periods."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
-    apart = _apart(u, period)
+    apart = changed_samples(u, period)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], apart, [True]]).astype(np.int8)))
     found = []
     for first, behind in zip(edges[::2], edges[1::2], strict=True):
@@ -307,12 +304,6 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
         if np.sqrt(np.mean(np.var(span[:period], axis=0))) > STILL * size:
             found.append((int(first), int(behind) + period))
     return found
-
-
-def _apart(u: np.ndarray, period: int) -> np.ndarray:
-    """Return, for each sample, whether its inputs differ from those one period later."""
-    size = float(np.sqrt(np.mean(np.var(u, axis=0))))
-    return np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
 
 
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
@@ -338,7 +329,7 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
         (u[first:last], y[first:last])
         for repeated, (u, y) in zip(asked, reading.runs, strict=True)
         for first, last in _split(repeated, period)
-        if repeated is u or np.mean(_apart(u[first:last], period)) <= MOST_CHANGED
+        if repeated is u or np.mean(changed_samples(u[first:last], period)) <= MOST_CHANGED
     ]
     if not spans and stated is None:
         return None

@@ -336,6 +336,15 @@ def test_a_saved_structure_is_read_back_with_the_same_numbers(found_of_the_whole
     assert StructureParameters.from_mapping(flat).validated() == found.parameters
 
 
+def test_inputs_that_do_not_repeat_are_refused():
+    u = np.random.default_rng(1).standard_normal((4, 2 * PERIOD, 2))
+    with pytest.raises(DataError, match=rf"do not repeat with a period of {PERIOD} samples: \d+ % of the samples of"):
+        identify_structure(u, u, SAMPLE_TIME, PERIOD, order=2, plays=0)
+    late = np.tile(u[:, :PERIOD], (1, 2, 1))
+    late[:, 10 : 10 + PERIOD // 20] = 0.0  # skipped samples
+    assert len(StructureData(late, late, SAMPLE_TIME, PERIOD).u) == 4
+
+
 def test_levels_are_told_apart_by_the_size_of_the_input():
     u = np.concatenate([multisines(2, 1, seed, level) for seed, level in enumerate((3.0, 1.0, 1.1))])
     data = StructureData(u, u, SAMPLE_TIME, PERIOD)
