@@ -532,12 +532,19 @@ class Configuration:
         return found[0] if found else None
 
     def require_independent(self) -> None:
-        """Refuse a file with coupled axes; for callers that need a single axis."""
+        """Refuse a file with coupled axes, or with their structure alone; for callers that need a single axis."""
         if self.stage is not None:
             raise ConfigurationError(
                 f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the axes of a "
                 "stage run together, in `hysteresis simulate`, `up`, `design`, `excite`, `identify` and `commission` "
                 "only (docs/coupled_axes.md)"
+            )
+        plants = [values for pattern, values in self.entries if pattern.rsplit("/", 1)[-1] == "plant_simulator"]
+        if any(name.startswith("structure.") for values in plants for name in values):
+            raise ConfigurationError(
+                f"{self.source}: is the structure of coupled axes alone, as hr.identify_structure saves it, without "
+                "axes and controllers; hr.identify with columns=hr.StageColumns(…), or `hysteresis identify`, writes a "
+                "complete stage (docs/coupled_identification.md)"
             )
 
 

@@ -255,6 +255,8 @@ class IdentifiedStructure:
     def save(self, path) -> None:
         """Write the parameter file completely or not at all.
 
+        The file contains the structure alone. ``hr.identify`` with ``columns=hr.StageColumns(…)`` writes a stage.
+
         Parameters
         ----------
         path : path-like

@@ -18,12 +18,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.errors import HysteresisError, IdentificationError
+from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError
 from hysteresis_ros.identification.coupled import StructureData, StructureEstimator, identify_structure
 from hysteresis_ros.identification.data import DataError
 from hysteresis_ros.identification.frequency_response import FrequencyResponse, response_matrix
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
+from hysteresis_ros.identification.parameter_file import load_chain
 from hysteresis_ros.identification.structure_fit import (
     LINEAR_GROUPS,
     Experiments,
@@ -32,6 +33,7 @@ from hysteresis_ros.identification.structure_fit import (
     refine_in_time,
 )
 from hysteresis_ros.identification.subspace import modal, refine_on_response, subspace_model
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.models.structure import Structure, StructureParameters
 
 SAMPLE_TIME = 1e-3
@@ -334,6 +336,14 @@ def test_a_saved_structure_is_read_back_with_the_same_numbers(found_of_the_whole
     values = load_configuration(tmp_path / "structure.yaml").node("plant_simulator")
     flat = {name.removeprefix("structure."): value for name, value in values.items()}
     assert StructureParameters.from_mapping(flat).validated() == found.parameters
+
+
+@pytest.mark.parametrize("call", [load_chain, AxisParameters.from_configuration])
+def test_a_saved_structure_alone_is_refused_in_one_sentence(call):
+    structure = {"structure.inputs": 2, "structure.A": [0.5, 0.1, -0.1, 0.5]}
+    alone = parse_configuration(dump_configuration({"/**/plant_simulator": structure}), "mirror.yaml")
+    with pytest.raises(ConfigurationError, match=r"mirror.yaml: is the structure of coupled axes alone.*StageColumns"):
+        call(alone)
 
 
 def test_inputs_that_do_not_repeat_are_refused():
