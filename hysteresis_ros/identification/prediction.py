@@ -136,6 +136,25 @@ def predict(
     return forced + _free_response(chain, measured - forced)
 
 
+def predict_after(chain: PlantModel, voltage, intersample: str | None, history) -> np.ndarray:
+    """Return the predicted displacement [m] after rest at 0 V and a history of voltages, at the rate of the chain.
+
+    Units: ``voltage`` and ``history`` [V].
+    """
+    voltage = np.ascontiguousarray(voltage, dtype=np.float64)
+    if chain.saturation is not None:
+        voltage = np.clip(voltage, *chain.saturation)
+    return _forced(chain, voltage, intersample or chain.intersample, False, history) + chain.offset
+
+
+def input_repeated(chain: PlantModel, data: IdentificationData, intersample: str | None = None, skip: int = 0) -> bool:
+    """Whether an input that was periodic before the recording explains it clearly better than rest at 0 V."""
+    starts = ("zero", "periodic")
+    predicted = [predict(chain, data.input, data.sample_time, intersample, start) for start in starts]
+    rest, repeated = (float(np.std((data.output - values)[skip:])) for values in predicted)
+    return PAST_WHILE_PREDICTING.improves(repeated, rest)
+
+
 def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=None) -> np.ndarray:
     """Return the output [m] of hysteresis and creep, shape (N,), which is the input of the dynamics.
 

@@ -52,17 +52,20 @@ from hysteresis_ros.identification.plant_model import (
 )
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
-from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.prediction import input_repeated, predict
 from hysteresis_ros.identification.preisach import FREE_CELLS, WIDTHS, Density, FreeDensity, fit_preisach
 from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated, wiped_out
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import (
+    NOT_REPEATED,
+    REPEATED,
     RESTED,
     Separated,
     Start,
     begins_at_zero,
     find_start,
     remembered,
+    requested,
     rests_behind,
     separated,
     without_memory,
@@ -507,17 +510,11 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
 
     result = _robust(fit, data, skip)
     if request.initial is None:
-        predicted = [
-            predict(result.chain, data.input, data.sample_time, initial=start) for start in ("zero", "periodic")
-        ]
-        rest, repeated = (float(np.std((data.output - values)[skip:])) for values in predicted)
-        if PAST_WHILE_FITTING.improves(repeated, rest):
+        if input_repeated(result.chain, data, skip=skip):
             request = replace(request, initial="periodic")
-            note = "the input was periodic before, which fits better than rest at 0 V"
-            return replace(_robust(fit, data, skip), start=note)
-    notes = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
-    asked = "as requested: " if request.initial else ""
-    return replace(result, start=asked + notes[request.initial or "zero"])
+            return replace(_robust(fit, data, skip), start=REPEATED.note)
+        return replace(result, start=NOT_REPEATED.note)
+    return replace(result, start=requested(request.initial, None).note)
 
 
 def _oscillator(data: IdentificationData, request: Request, before: Identification | None) -> Identification:

@@ -102,6 +102,25 @@ class Start:
 RESTED = Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
 
 
+#: The starts of a recording of an oscillator, which has forgotten any other past.
+NOT_REPEATED = Start("zero", 0, (), "at rest at 0 V before the recording")
+REPEATED = Start("periodic", 0, (), "the input was periodic before, which fits better than rest at 0 V")
+
+
+#: The start of a prediction if the voltage never erases the memory of earlier voltages.
+NOT_ERASED = Start("zero", 0, (), "no samples omitted, although all depend on the voltage before the recording")
+
+
+def requested(initial: str | None, skip: int | None) -> Start:
+    """Return the start that the user states."""
+    words = f"the first {skip} samples omitted" if skip else "at rest at 0 V before the recording"
+    if initial == "periodic":
+        words = "the input was periodic before"
+    if initial == "estimate":
+        words = "the voltage before the recording and the state are estimated"
+    return Start(initial or "zero", skip or 0, (), f"as requested: {words}")
+
+
 def find_start(
     data: IdentificationData,
     skip: int | None = None,
@@ -111,17 +130,15 @@ def find_start(
     whole: bool = False,
 ) -> Start:
     """Return the assumed beginning of the recording: as requested, or with the best fit."""
-    asked = "as requested: "
     if initial == "periodic":
         _refuse_open(data)
-        return Start("periodic", skip or 0, (), f"{asked}the input was periodic before")
-    if initial == "zero" or (skip is not None and initial is None):
-        words = f"the first {skip} samples omitted" if skip else "at rest at 0 V before the recording"
-        return Start("zero", skip or 0, (), asked + words)
+    if initial in ("periodic", "zero") or (skip is not None and initial is None):
+        return requested(initial, skip)
     trials = _PastTrials(data, structure or _tried)
     if initial == "estimate":
         voltage, _ = trials.remanent()
-        return Start("estimate", skip or 0, (voltage, float(data.input[0])), asked + remanence(voltage))
+        words = f"as requested: {remanence(voltage)}"
+        return Start("estimate", skip or 0, (voltage, float(data.input[0])), words)
     wiped = wiped_out(data.input)
     if wiped is None:
         return _remembered(data, trials)
@@ -136,6 +153,17 @@ def without_memory(data: IdentificationData, wiped: int) -> Start:
         seconds = f"{wiped * data.sample_time:.3g} s"
         note = f"the first {wiped} samples ({seconds}) omitted, until the voltage had been near both ends of its range"
     return Start("zero", wiped, (), note)
+
+
+def start_of_prediction(data: IdentificationData, first: int, predicted) -> Start:
+    """Return the assumed beginning of a recording for a known model, chosen as for a fit.
+
+    ``first``: sample from which earlier voltages no longer matter; ``predicted(history)``: displacement [m], shape
+    (N,), after rest at 0 V and these voltages [V].
+    """
+    if wiped_out(data.input) is None:
+        return NOT_ERASED
+    return RESTED if _KnownTrials(data, first, predicted).begins_at_rest(first) else without_memory(data, first)
 
 
 def rests_behind(data: IdentificationData, first: int, part: LinearPart, structure=None) -> bool:
@@ -190,6 +218,10 @@ class _PastTrials:
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
+    def lag(self, start: Start) -> LinearPart | None:
+        """Return the lag that fits best after a given history."""
+        return _lag(self.condensed(start))
+
     def at_rest(self, first: int) -> bool:
         """Whether a model that starts at rest at 0 V fits the samples before ``first``.
 
@@ -220,7 +252,7 @@ class _PastTrials:
         voltage = self.data.input
         if not begins_at_zero(voltage):
             return False
-        lag, largest, bipolar = part or _lag(self.condensed(alone)), *self._largest()
+        lag, (largest, bipolar) = part or self.lag(alone), self._largest()
         error = self.error(part=lag)
         rest = _trimmed(error[:first])
         enough = REMANENT * rest if rest <= EXPLAINED * _trimmed(error[first:]) else rest
@@ -241,13 +273,29 @@ class _PastTrials:
         (largest, bipolar), first = self._largest(), float(self.data.input[0])
         found = largest, 0.0
         for _ in range(2):  # fit the lag with the best history so far, then search the history again
-            lag = _lag(self.condensed(_after(found[0], first)))
+            lag = self.lag(_after(found[0], first))
             found = remanent_voltage(
                 lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
             )
             if found[1] >= rest:
                 break
         return found
+
+
+class _KnownTrials(_PastTrials):
+    """Predictions of a known model with different histories; a constant is removed from each error."""
+
+    def __init__(self, data: IdentificationData, first: int, predicted):
+        super().__init__(data, None)
+        self.first, self.predicted = first, predicted
+
+    def error(self, start: Start = Start("zero", 0), part=None) -> np.ndarray:
+        """Return the error [m] of the samples after this history, shape (N,)."""
+        error = self.data.output - self.predicted(start.history)
+        return (error - np.median(error[self.first :]))[start.skip :]
+
+    def lag(self, start: Start) -> None:
+        """Return nothing, because the model is known."""
 
 
 def begins_at_zero(voltage) -> bool:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -37,7 +38,14 @@ from hysteresis_ros.identification.parameter_file import (
     model_warnings,
 )
 from hysteresis_ros.identification.plant_model import Identification, PlantModel
-from hysteresis_ros.identification.prediction import InverseValidation, at_rate, judge, predict
+from hysteresis_ros.identification.prediction import (
+    InverseValidation,
+    at_rate,
+    input_repeated,
+    judge,
+    predict,
+    predict_after,
+)
 from hysteresis_ros.identification.preprocessing import automatic_skip, wiped_out
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.recording_summary import (
@@ -51,7 +59,15 @@ from hysteresis_ros.identification.recording_summary import (
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response, sound_data
 from hysteresis_ros.identification.safe_motion import largest_change
 from hysteresis_ros.identification.sensor_zero import zero_warnings
-from hysteresis_ros.identification.separation import begins_at_zero
+from hysteresis_ros.identification.separation import (
+    NOT_REPEATED,
+    REPEATED,
+    Start,
+    begins_at_zero,
+    requested,
+    start_of_prediction,
+    without_memory,
+)
 from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
@@ -572,13 +588,8 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
     data = reading.data
     if plant.invertible:
         plant = at_rate(plant, data.sample_time)
-    held, initial = given.get("intersample"), given.get("initial")
-    predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
-    skip = _averaged(given.get("skip"), data)
-    if skip is None:
-        # samples that depend on the unknown voltage history are omitted, as in an identification
-        skip = automatic_skip(data) if plant.invertible and initial is None else 0
-    free = given.get("offset") == "free"
+    start, predicted = _predicted(plant, data, given)
+    skip, free = start.skip, given.get("offset") == "free"
     shown = as_sensed(data, predicted)
     found, back, figures, judged = judge(plant, data, shown, skip=skip, free_offset=free, inverse=inverse)
     notes = [*reading.report.warnings, *_beyond(plant, data), *judged]
@@ -588,10 +599,27 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
         "largest_autocorrelation": found.autocorrelation.largest,
         "autocorrelation_bound": found.autocorrelation.bound,
         "lags_outside": found.autocorrelation.outside,
+        "start": start.note,
     }
     figures = {figure_name(name, plant.units): value for name, value in figures.items()}
     figures = {**finite(figures), "identified_from": identified_from, "data": data.source}
     return Compared(data, plant, predicted, found, back, figures, tuple(notes), recording=reading.summary)
+
+
+def _predicted(plant: PlantModel, data: IdentificationData, given: Conditions) -> tuple[Start, np.ndarray]:
+    """Return the assumed beginning of a recording, and the prediction of the plant from there."""
+    held, initial, skip = given.get("intersample"), given.get("initial"), _averaged(given.get("skip"), data)
+    free = skip is None and initial is None
+    start = requested(initial, skip)
+    if free and not plant.invertible:
+        start = REPEATED if input_repeated(plant, data, held) else NOT_REPEATED
+        initial = start.kind
+    predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
+    if free and plant.invertible:
+        first, after = automatic_skip(data), partial(predict_after, plant, data.input, held)
+        rested = plant.initial == "zero" and plant.hysteresis.type != "proportional"  # a gain remembers nothing
+        start = start_of_prediction(data, first, after) if rested else without_memory(data, first)
+    return start, predicted
 
 
 def within_saturation(data: IdentificationData, recording: RecordingSummary) -> IdentificationData:

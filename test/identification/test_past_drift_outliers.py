@@ -19,7 +19,7 @@ from hysteresis_ros.identification.bouc_wen import simulate_oscillator
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.plant_model import pass_through
 from hysteresis_ros.identification.preprocessing import cleaned, drift_of
-from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.identification.workflow import identify, validate
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import MODELS, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters
@@ -153,6 +153,8 @@ def test_an_oscillator_in_a_repeated_drive_with_drift_and_outliers():
     quiet = identify(IdentificationData(time, u, y), "bouc_wen_mechanical", options=GUESS)
     assert quiet.plant.initial == "periodic" and "periodic" in quiet.figures["start"]
     assert quiet.figures["rmse_m"] < 1.2e-6
+    checked = validate(found, IdentificationData(time, u, y))
+    assert checked.figures["start"] == quiet.figures["start"] and checked.figures["rmse_m"] < 2e-6
 
 
 def test_the_state_of_an_oscillator_is_not_estimated():

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+import hysteresis_ros as hr
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
@@ -124,3 +125,18 @@ def test_validation_leaves_out_the_start_as_identification_does(tmp_path):
     assert left_out > 0 and validate(tmp_path / "axis.yaml", loops()).figures["skipped"] == left_out
     assert validate(tmp_path / "axis.yaml", loops(), initial="zero").figures["skipped"] == 0
     assert validate(tmp_path / "axis.yaml", loops(), skip=7).figures["skipped"] == 7
+    assert "omitted" in validate(tmp_path / "axis.yaml", loops()).figures["start"]
+
+
+@pytest.mark.slow
+def test_validation_counts_a_first_rise_from_rest_as_identification_does():
+    cycle = 0.5 - 0.5 * np.cos(np.linspace(0.0, 2.0 * np.pi, 200))
+    voltage = np.concatenate([100.0 * cycle, 80.0 * cycle, 50.0 * cycle])
+    displacement = hr.models.BoucWen.example().simulate(voltage)
+    data = IdentificationData(np.arange(voltage.size) * 1e-3, voltage, displacement)
+    found = identify(data, "prandtl_ishlinskii", linear="none", options={"play_count": 8, "zone_count": 0})
+    checked = validate(found, data)
+    assert found.figures["start"].startswith("at rest at 0 V before the recording, which explains its beginning")
+    for name in ("start", "skipped", "rmse_m"):
+        assert checked.figures[name] == found.figures[name]
+    assert validate(found, data, skip=30).figures["start"] == "as requested: the first 30 samples omitted"
