@@ -131,7 +131,7 @@ def test_every_controller_takes_keywords_and_is_its_block_bit_for_bit(kind):
     expected = LAWS[kind].block(controller.parameters, 1.0 / 3000.0).simulate(reference, measured)
     assert controller.parameters.type == kind
     np.testing.assert_array_equal(controller.simulate(list(reference), list(measured)), expected)
-    with pytest.raises(HysteresisError, match="200 samples and measured 199"):
+    with pytest.raises(HysteresisError, match="200 samples, measured 199"):
         controller.simulate(reference, measured[1:])
 
 

@@ -384,7 +384,7 @@ class MotionControllerNode(Responder):
             text = "no node reports achieved commands: the command follows the displacement until one does"
             self.warn("following", text)
         elif mode == TRIPPED and not self.runner.latched:
-            self.warn("tripped", "the plant has stopped the axis: going to safe_command", error=True)
+            self.warn("tripped", "the plant has stopped the axis: the command follows the voltage", error=True)
         elif mode == QUIET:
             self.get_logger().info("quiet: the command stands still")
         elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED, QUIET):
