@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros import signals
-from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop, boost, require_speed
@@ -188,6 +188,8 @@ class FusedAxis:
                 device.reset()
             axis = Stage(given, devices) if isinstance(given, StageParameters) else Axis(given, *devices)
             loop = FusedLoop(axis, plant.parameters.real_time_factor, plant.parameters.samples, warn=self._warn)
+            if any(device.calls_python for device in devices):
+                self._compile_predictions()
         for one, part in zip(self.together, axis.axes, strict=True):
             one._enter(loop, part)
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -201,6 +203,20 @@ class FusedAxis:
             one.plant.begin_run(loop.origin)
         if not all(one.plant.running for one in self.together):
             loop.halt()
+
+    def _compile_predictions(self) -> None:
+        """Compile the predictions of moves before the loop needs Python's lock, which compiling holds, in each sample.
+
+        Otherwise the first move would delay so many samples that the axis trips.
+        """
+        from hysteresis_ros.loop.ready import Predictor, model_of
+
+        for one in self.together:
+            given = one.present_parameters()
+            source = given.reference_generator
+            if source is not None and source.waveform.type == "hold":
+                with contextlib.suppress(HysteresisError):  # a move reports why it is not predicted
+                    Predictor(model_of(source, given.motion_controller, given.hysteresis_compensator))
 
     def _enter(self, loop: FusedLoop, axis: Axis) -> None:
         """Give the nodes their parts of a loop before it starts, and apply the state of the nodes to the loop."""

@@ -279,7 +279,7 @@ class Graph:
             code = first.process.returncode
             self.stop()
             said = f"{first.full_name} {_how_it_ended(first)}; the other nodes were stopped"
-            raise GraphError(said, code if code > 0 else 1)
+            raise GraphError(said, 2 if code == 2 else 1)
         if ended and None in codes:
             self._first_left = self._first_left or time.monotonic()
             if time.monotonic() - self._first_left > PATIENCE:

@@ -152,14 +152,13 @@ def explain_trip(part, runner) -> str:
     if part.overtravelled:
         low, high = part.travel
         where = f"the measurement is beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm (overtravel)"
-        others = "check gains, delay and scaling"
+        others = "check sensor and cable, then gains, delay and scaling"
         late = runner.late_samples
         if not late:
             return f"{where}, which an unstable loop or a wrong sensor can cause: {others}; then call ~/start to resume"
         return (
-            f"{where} after {late} late samples: late voltages make a loop unstable, so check these first (`hysteresis "
-            f"doctor` measures the rate that this machine sustains); if they are not the cause, {others}; then call "
-            "~/start to resume"
+            f"{where} after {late} late samples: many late voltages make a loop unstable (`hysteresis doctor` measures "
+            f"the rate that this machine sustains); with few of them, {others}; then call ~/start to resume"
         )
     return runner.explain_trip()
 

@@ -31,7 +31,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import Bool, Float64, String  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
+from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.loop.reach import single_axis  # noqa: E402
 from hysteresis_ros.nodes.ready import WAITING, MoveToReady, ReadyTopics  # noqa: E402
 from hysteresis_ros.nodes.remote import commands  # noqa: E402
 from hysteresis_ros.nodes.remote.__main__ import done  # noqa: E402
@@ -549,3 +551,16 @@ def test_a_zero_is_sent_and_what_is_not_given_is_not(monkeypatch, capsys):
     for given, sent in (((0.0, None), {"duration": 0.0}), ((2.0, 1e-9), {"duration": 2.0, "tolerance": 1e-9})):
         commands.quiet(held, *given)
         assert held.request == sent and held.name == "/left/motion_controller/quiet"
+
+
+def test_the_prediction_of_each_axis_that_can_move_is_compiled_before_a_loop_with_a_driver_in_python(monkeypatch):
+    """Compiled at the first move, it would hold Python's lock, which the driver needs in each sample."""
+    from hysteresis_ros.nodes.fused import FusedAxis
+
+    made: list = []
+    monkeypatch.setattr("hysteresis_ros.loop.ready.Predictor", made.append)
+    given = load_configuration("stage700")
+    axes = [single_axis(given.override("reference_generator", waveform__type=kind)) for kind in ("hold", "sine")]
+    together = [SimpleNamespace(present_parameters=partial(replace, axis)) for axis in axes]
+    FusedAxis._compile_predictions(SimpleNamespace(together=together))
+    assert [axis.motion_controller.type for axis in made] == [axes[0].motion_controller.type]
