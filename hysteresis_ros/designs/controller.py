@@ -36,6 +36,7 @@ from hysteresis_ros.identification.safe_motion import smooth_approach, with_comm
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
+from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import StateSpace
 
 NODE = "motion_controller"
@@ -440,9 +441,12 @@ class AxisDesign:
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
     together: str = ""  #: How this design was changed because of the loops of the other axes of a stage.
     calmed: str = ""  #: Why the controller is slower than it could be.
+    unmodelled: str = ""  #: What the linear model lacks, so that its margins are not those of the axis.
 
     def misses(self) -> tuple[str, ...]:
         """Return the unmet requirements of the loop, on the model or on another plant."""
+        if self.unmodelled:
+            return (self.unmodelled,)
         others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
         return self.margins.misses() or next((said for said in others if said), ())
 
@@ -500,7 +504,17 @@ def design_axis(
     # the margins found by the robust design do not apply to a design that was made slower afterwards
     kept = {"robustness": robust} if found is first else {"limited": response}
     gain = 1.0 if response is None else response.gain
-    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
+    lacking = _unmodelled(axis, found.parameters)
+    made = AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
+    return replace(made, unmodelled=lacking)
+
+
+def _unmodelled(axis: AxisParameters, parameters: ControllerParameters) -> str:
+    """Return that the dynamics of the axis are in its hysteresis model, where a design does not see them; else ''."""
+    hysteresis, rate = axis.hysteresis_compensator.hysteresis, axis.motion_controller.sample_rate
+    if parameters.model.dynamics.order or hysteresis_block(hysteresis, 1.0 / rate).invertible:
+        return ""
+    return f"the dynamics of hysteresis.type {hysteresis.type} are not in model.dynamics"
 
 
 def _gains(
@@ -709,6 +723,12 @@ def doubts(result: AxisDesign) -> list[str]:
     """Return warnings about a design."""
     parameters = result.parameters
     found = list(parameters.warnings())
+    if result.unmodelled:
+        return [
+            *found,
+            f"requirements not met: {result.unmodelled}, so the margins are not those of the axis and the closed loop "
+            "may be unstable; identify a model with linear dynamics",
+        ]
     if not parameters.model.dynamics.order:
         found.append(
             "model.dynamics.A is empty: the design assumes that the axis responds within a sample; "

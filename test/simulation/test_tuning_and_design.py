@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import hysteresis_ros as hr
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
@@ -35,6 +36,8 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models import linear_algebra
 from hysteresis_ros.models.actuator import PreloadParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.linear import LinearParameters
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PICMA = ROOT / "config" / "picma_stage.yaml"
@@ -342,3 +345,16 @@ def test_the_bandwidth_without_damping_is_that_of_the_design_without_damping(tmp
     kept = rows(config=tmp_path / "f.yaml")
     for name in ("damping", "bandwidth reached", "bandwidth without damping", "requirements"):
         assert kept[name] == damped[name]
+
+
+def test_dynamics_inside_the_hysteresis_model_are_a_requirement_that_is_not_met():
+    """A linear model without states has margins, but they are those of another axis."""
+    example = replace(hr.models.BoucWenMechanical.example().parameters, substeps=10)
+    oscillator = HysteresisParameters(type="bouc_wen_mechanical", bouc_wen_mechanical=example)
+    axis = picma()
+    inverse = replace(axis.hysteresis_compensator.inverse, type="none")
+    compensator = replace(axis.hysteresis_compensator, hysteresis=oscillator, inverse=inverse)
+    law = replace(axis.motion_controller, model=replace(axis.motion_controller.model, dynamics=LinearParameters()))
+    result = design_axis(replace(axis, hysteresis_compensator=compensator, motion_controller=law), DesignRequest("pid"))
+    assert result.misses() == ("the dynamics of hysteresis.type bouc_wen_mechanical are not in model.dynamics",)
+    assert any("the closed loop may be unstable" in text for text in controller.doubts(result))
