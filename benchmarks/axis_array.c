@@ -377,8 +377,9 @@ static void note(double *x, double applied, double reference, double fed, double
 /* ---- loop/controller.py ------------------------------------------------------------------------------------------ */
 
 enum { SAFE_COMMAND, C_SAFE_STEP, PRELOAD, USE_ORIGIN, PREDICTS, LOWEST, HIGHEST, NEEDS_FORCE };
-enum { STOP, RETURNING, ON_PATH, UNANSWERED, ANSWERED, O_REFERENCE, COMMANDED, OFFSET_LEFT, O_FORCE };
-enum { Q_AHEAD = 9, Q_LEFT, Q_ON_PULSE = 9 }; /* of loop/quiet.py: states, then a parameter */
+enum { STOP, RETURNING, ON_PATH, UNANSWERED, ANSWERED, O_REFERENCE, COMMANDED, OFFSET_LEFT, O_FORCE, ACHIEVED };
+#define AT_SAFE_VOLTAGE 2.0 /* value of RETURNING */
+enum { Q_AHEAD = 10, Q_LEFT, Q_ON_PULSE = 9 }; /* of loop/quiet.py: states, then a parameter */
 
 typedef double (*Law)(const double *, double *, double, double);
 
@@ -456,7 +457,12 @@ static inline void control(Law law, double *m, const int64_t *at, double *row, i
     }
     if (mode == M_TRIPPED || mode == M_STOPPED || mode == M_STALE) {
         command = towards(command, own_p[SAFE_COMMAND], own_p[C_SAFE_STEP]);
-        own[RETURNING] = 1.0;
+        if (mode == M_TRIPPED)
+            own[RETURNING] = AT_SAFE_VOLTAGE;
+        if (own[RETURNING] == AT_SAFE_VOLTAGE && own[ANSWERED] != 0.0)
+            command = own[ACHIEVED];
+        else
+            own[RETURNING] = 1.0;
     }
     own[UNANSWERED] += 1.0;
     *foreign += m[at[C_DAMPING]] != 0.0;
@@ -633,6 +639,7 @@ __attribute__((noipa)) int64_t run_axes(double *memory, const int64_t *at, int64
             }
             if (finite(row[R_APPLIED])) {
                 m[at[CX_CONTROLLER] + APPLIED] = row[R_APPLIED];
+                m[at[CWX_OWN] + ACHIEVED] = row[R_APPLIED];
                 m[at[CWX_OWN] + UNANSWERED] = 0.0;
                 m[at[CWX_OWN] + ANSWERED] = 1.0;
             }

@@ -258,7 +258,7 @@ def test_load_tells_configurations_from_recordings_and_refuses_the_rest(tmp_path
 
 
 def test_a_recording_without_configuration_cannot_be_simulated():
-    with pytest.raises(ConfigurationError, match="does not contain the configuration"):
+    with pytest.raises(ConfigurationError, match="has no configuration of its axis"):
         hr.simulate(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), duration=0.01)
 
 

@@ -150,7 +150,7 @@ def test_riccati_solutions_are_those_of_scipy(problem):
         gain = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
         return np.max(np.abs(A.T @ P @ A - P - A.T @ P @ B @ gain + Q) / size)
 
-    assert unsolved(P) < 1e-12
+    assert unsolved(P) < 1e-11
     # SciPy's residual is up to 1e-8 if weights differ by many decades, and so is its distance from the solution
     assert np.max(np.abs(P - expected) / size) < 1e-10 + 1e3 * unsolved(expected)
     assert np.array_equal(P, P.T)

@@ -36,7 +36,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: Layers that every folder may import besides itself: imports have one direction, in the order of the data flow.
-BASE = {"", "errors", "units", "signals", "files", "configuration", "registry", "executors"}
+BASE = {"", "errors", "units", "arguments", "signals", "files", "configuration", "registry", "executors"}
 BLOCKS = BASE | {"models", "control", "references"}
 MEASURED = BLOCKS | {"recordings", "hardware", "identification"}
 CORE = MEASURED | {"loop", "designs", "analysis", "api", "designing", "exchange"}
@@ -45,6 +45,7 @@ MAY_IMPORT = {
     "": BLOCKS | {"api", "designing", "exchange", "laboratory", "loop"},
     "errors": {""},
     "units": {"", "errors"},
+    "arguments": {"", "errors", "units"},
     "signals": set(),
     "files": {"", "errors"},
     "configuration": {"", "errors", "files"},

@@ -73,8 +73,12 @@ class Axis:
         if self.plant.begins_safe or parameters.plant_simulator.time_mode == "fused":
             self.compensator.follow_plant(self.plant.rounding, self.plant.begins_safe)
         if self.plant.begins_safe:
-            self.controller.begin_at(self.compensator.resting_displacement)
+            self.controller.begin_at(self._resting_displacement)
         self.sample = 0
+
+    def _resting_displacement(self) -> float:
+        """Return the displacement [m] of the compensator's model after a reset, at the safe voltage of the plant."""
+        return self.compensator.resting_displacement(self.plant.parameters.safe_voltage)
 
     @property
     def kind(self) -> signals.AxisKind:

@@ -286,11 +286,11 @@ class CompensatorPart:
         kind = {"hysteresis.type": self.parameters.hysteresis.type}
         return {**kind, **kept, "adaptation.factors": adaptation.factors}
 
-    def resting_displacement(self) -> float:
-        """Return the displacement [m] of the model after a reset, at the safe voltage."""
+    def resting_displacement(self, voltage: float) -> float:
+        """Return the displacement [m] of the model after a reset, at a voltage [V]."""
         model = Compensator(part(self.parameters, CompensatorParameters), 1.0 / self.parameters.sample_rate)
-        model.xs.limits[limiting.UNQUANTISED] = self.parameters.safe_voltage
-        model.hold(self.parameters.safe_voltage)
+        model.xs.limits[limiting.UNQUANTISED] = voltage
+        model.hold(voltage)
         return model.applied
 
     def reset(self) -> None:

@@ -56,7 +56,7 @@ def test_a_duration_that_is_none_is_refused(tmp_path, duration):
 
 def test_a_run_that_no_memory_holds_is_refused(tmp_path):
     assert "memory" in refusal("simulate", "kim2009", "-o", tmp_path / "a.npz", "--duration", "1e12")
-    assert "more samples" in refusal("simulate", "kim2009", "-o", tmp_path / "a.npz", "--duration", "1e300")
+    assert "too many samples" in refusal("simulate", "kim2009", "-o", tmp_path / "a.npz", "--duration", "1e300")
 
 
 def test_a_file_that_is_laid_over_and_a_drift_are_refused_by_name(tmp_path):

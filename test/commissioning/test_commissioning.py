@@ -208,7 +208,7 @@ WRONG = {
     ringing: "gain: the stage does not settle",
     tripping: "noise: the axis tripped after 0.05 s: a measurement is outside the range",
     losing: "noise: 10.0 % of 1000 samples have no measurement or no voltage",
-    stuck: "gain: a step of 5 V was commanded, but 1 V were applied",
+    stuck: "gain: a step of 5 V was commanded, but only 1 V were applied",
     noisy: "noise: the sensor's noise at rest is",
 }
 

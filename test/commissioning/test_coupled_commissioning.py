@@ -638,7 +638,7 @@ def test_a_loop_of_a_stage_may_leave_six_times_its_prediction_or_a_twentieth_of_
 )
 def test_the_motion_of_another_axis_is_compared_with_its_prediction_and_the_noise(moved, model, noise, more):
     found = loops.coupling_verdict(moved, model, noise)
-    assert found.startswith("MORE than 1.5 x the prediction, the coupling differs") if more else found == "as predicted"
+    assert found.startswith("MORE than 1.5 x the prediction; the coupling differs") if more else found == "as predicted"
 
 
 def test_an_axis_that_moves_with_another_more_than_predicted_is_told(monkeypatch):
@@ -710,7 +710,7 @@ def test_what_a_stage_announces_is_what_each_axis_does(tmp_path, monkeypatch):
     assert words["gain"] == (
         "x: a step of +5 V from 0 V and back, about 2.847 µm; then y: a step of +4 V from 0 V and back, about 2.277 µm"
     )
-    assert "; then y: slowly to 20 V and a multisine of ±4 V there" in words["resonance"]
+    assert "; then y: slowly to 20 V, a multisine of ±4 V there" in words["resonance"]
     assert "the whole range -20 … 60 V, about 45.55 µm, in 16 cycles" in words["hysteresis"]
     closed = closed_loops(monkeypatch, x=Range(0.0, 10e-6, 0.0), y=Range(-20e-6, 2e-6, 0.0))
     closed.controller = "pid"

@@ -165,7 +165,7 @@ def test_without_its_devices_the_stage_is_simulated_with_its_structure():
 
 
 def test_an_axis_without_a_driver_beside_one_with_a_driver_is_refused():
-    with pytest.raises(ParameterError, match="/y/plant_simulator: driver = .*/x has the driver simulated: give each"):
+    with pytest.raises(ParameterError, match="/y/plant_simulator: driver = .*/x has the driver simulated: give"):
         parameters("simulated", y="driver: ''", mode="realtime")
 
 

@@ -74,5 +74,5 @@ def test_bad_data_and_settings_are_refused():
         fit_bouc_wen_mechanical(u, np.zeros(256), SAMPLE_TIME, start)
     with pytest.raises(IdentificationError, match="intersample"):
         fit_bouc_wen_mechanical(u, u, SAMPLE_TIME, start, intersample="spline")
-    with pytest.raises(IdentificationError, match="one shape"):
+    with pytest.raises(IdentificationError, match="both must have the same number of samples"):
         fit_bouc_wen_mechanical(u, u[:-1], SAMPLE_TIME, start)

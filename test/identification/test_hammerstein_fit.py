@@ -223,7 +223,7 @@ def test_the_voltage_comes_back_from_the_displacement():
         (np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, 200), "never reverses"),
         (np.zeros(200), np.linspace(0.0, 1.0, 200), "constant"),
         (sine(1), np.where(np.arange(200) == 50, np.nan, sine(1)), "NaN"),
-        (sine(1), sine(2), "one shape"),
+        (sine(1), sine(2), "both must have the same number of samples"),
         (sine(1)[:20], sine(1)[:20], "N ≥ 50"),
     ],
 )
@@ -233,5 +233,5 @@ def test_bad_data_is_refused_with_the_reason(voltage, displacement, words):
 
 
 def test_an_unknown_linear_part_is_refused():
-    with pytest.raises(IdentificationError, match="lag, delay, creep"):
+    with pytest.raises(IdentificationError, match="lag, delay and creep"):
         fit_preisach(sine(2), sine(2), SAMPLE_TIME, linear=("resonance",))

@@ -209,13 +209,13 @@ def test_a_fault_is_that_of_every_axis():
 
 @pytest.mark.parametrize("axes", [0, -1, MOST_AXES + 1, 2.0, "3", True, None])
 def test_a_wrong_number_of_axes_is_refused(axes):
-    with pytest.raises(ParameterError, match=r"axes = .*: must be a whole number within 1 … 4096"):
+    with pytest.raises(ParameterError, match=r"axes = .*: must be a whole number"):
         hr.axis_array("kim2009", axes)
 
 
 @pytest.mark.parametrize("threads", [0, 1.5, 257])
 def test_a_wrong_number_of_threads_is_refused(threads):
-    with pytest.raises(ParameterError, match=r"threads = .*: must be a whole number within 1 … 256"):
+    with pytest.raises(ParameterError, match=r"threads = .*: must be a whole number"):
         hr.simulate("kim2009", axes=2, duration=0.01, threads=threads)
 
 
@@ -279,9 +279,9 @@ def test_setpoints_of_a_run_are_a_row_for_each_axis(given):
         ({"config": "inchworm_travel", "axes": 2}, "type = 'inchworm': an array contains only simulated actuators"),
         ({"config": "auwal2017_camera", "axes": 2}, "type = 'camera': an array contains only simulated actuators"),
         ({"config": "xy_scanner", "axes": 2}, "this is a stage of coupled axes"),
-        ({"config": "kim2009", "axes": 2, "requests": [1.0]}, "axes: requests, speeds, a scan and setpoints"),
-        ({"config": "kim2009", "axes": 2, "setpoints": {"x": [0.0]}}, "axes: requests, speeds, a scan and setpoints"),
-        ({"config": "kim2009", "each": {"plant_simulator.sensor.seed": [1]}}, "give their number as axes"),
+        ({"config": "kim2009", "axes": 2, "requests": [1.0]}, "setpoints by names are for a single run"),
+        ({"config": "kim2009", "axes": 2, "setpoints": {"x": [0.0]}}, "setpoints by names are for a single run"),
+        ({"config": "kim2009", "each": {"plant_simulator.sensor.seed": [1]}}, "each needs axes, the number of axes"),
     ],
 )
 def test_what_has_no_array_is_refused(arguments, message):

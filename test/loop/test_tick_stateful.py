@@ -94,7 +94,7 @@ class CheckedAxis:
             overrides |= HOLD
         self.axis = Axis(parameters(name, **overrides))
         self.motor = self.axis.kind.motor
-        self.last = None
+        self.last, self.follows = None, False
         self.samples = 0
         self.setpoint = 0.0
 
@@ -141,7 +141,11 @@ class CheckedAxis:
             table = {name: np.r_[self.last[name], values] for name, values in table.items()}
         safe = (STALE, STOPPED, TRIPPED)
         rise = limit_step(compensator.limits, rate)
-        moves(table, "command", "controller_mode", (*safe, FOLLOWING), controller.safe_slew_rate / rate, 0.0)
+        # from a stop by the plant until the controller runs again, the command follows the voltage
+        follows = following(table["controller_mode"], self.follows)
+        self.follows = bool(follows[-1])
+        slewing = {**table, "controller_mode": np.where(follows, -1, table["controller_mode"])}
+        moves(slewing, "command", "controller_mode", (*safe, FOLLOWING), controller.safe_slew_rate / rate, 0.0)
         if not self.axis.controller.controller.predicts:
             moves(table, "command", "controller_mode", (HOLDING,), 0.0, 0.0)
         moves(table, "voltage", "compensator_mode", safe, compensator.safe_slew_rate / rate, grid(compensator.limits))
@@ -194,7 +198,7 @@ class CheckedAxis:
     def reset(self):
         """Reset; faults and trips are cleared, a stop by hand is not."""
         self.axis.reset()
-        self.last = None
+        self.last, self.follows = None, False
 
 
 def arrays_of(arrays):
@@ -220,6 +224,13 @@ def grid(limits):
 def limit_step(limits, rate):
     """Return the largest change that the slew rate allows in a sample [V]."""
     return limits.slew_rate / rate if limits.slew_rate > 0.0 else np.inf
+
+
+def following(modes, before: bool) -> np.ndarray:
+    """Return in which samples the controller has not run since the plant stopped the axis; ``before``: before them."""
+    numbers = np.arange(1, len(modes) + 1)
+    tripped, ran = (np.maximum.accumulate(np.where(modes == mode, numbers, 0)) for mode in (TRIPPED, RUNNING))
+    return (tripped > ran) | (before & (ran == 0))
 
 
 def moves(table, signal, mode, modes, step, rounding):

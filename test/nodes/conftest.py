@@ -11,13 +11,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 
 import pytest
 from nodes_support import InProcess, Observer, Processes
 
-from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.domain import Domain
 
 
@@ -26,44 +24,22 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("nodes")
 
 
-@contextlib.contextmanager
-def unused_domain():
-    """Claim a domain after a collection: nodes are part of reference cycles, and their participants use domains.
-
-    If no other domain of this worker is claimed, what survives is left out of later collections, which would take 0.1 s
-    for each test. Nodes that the report of a failed test has kept alive are collected if they use the last domain.
-    """
+def unused_domain() -> Domain:
+    """Claim a domain after a collection: nodes are part of reference cycles, and their participants use domains."""
     gc.collect()
-    if not _claimed:
-        gc.freeze()
-    try:
-        domain = Domain()
-    except HysteresisError:
-        gc.unfreeze()
-        gc.collect()
-        domain = Domain()
-    with domain:
-        _claimed.append(domain)
-        try:
-            yield domain.number
-        finally:
-            _claimed.remove(domain)
-
-
-#: Domains of the fixtures that are claimed now.
-_claimed: list[Domain] = []
+    return Domain()
 
 
 @pytest.fixture
 def domain():
-    with unused_domain() as number:
-        yield number
+    with unused_domain() as claimed:
+        yield claimed.number
 
 
 @pytest.fixture(scope="module")
 def domain_of_module():
-    with unused_domain() as number:
-        yield number
+    with unused_domain() as claimed:
+        yield claimed.number
 
 
 @pytest.fixture

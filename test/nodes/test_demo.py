@@ -116,7 +116,7 @@ def test_the_message_is_the_method_and_beside_it_what_the_machine_made_of_it():
     assert "12 %" in clean[0] and "0.25 % with it" in clean[0] and "skipped no sample" in clean[1]
     first, second = message((0.13, 0.031), (0.12, 0.0025), (3.2, 2.1), live=True)
     assert first == clean[0]
-    assert "3.2 % and 2.1 % of the samples" in second and "13 % without the inverse, 3.1 % with it" in second
+    assert "3.2 % and 2.1 % of the samples" in second and "13 % wide without the inverse, 3.1 % with it" in second
 
 
 def test_the_picture_is_the_clean_one_and_marks_what_was_skipped():

@@ -104,7 +104,7 @@ def test_a_move_is_predicted_and_then_measured(axis, heard, client, capsys):
 @pytest.mark.parametrize(
     ("value", "tolerance", "dwell", "words"),
     [
-        (6e-6, 1e-10, None, r"tolerance 0.1 nm refused: .* within \S+ nm during 99 % of the time; give at least"),
+        (6e-6, 1e-10, None, r"tolerance 0.1 nm refused: .* within \S+ nm of its mean during 99 % .*; give at least"),
         (6e-6, 20e-9, -1.0, "dwell -1 s refused"),
         (50e-6, 20e-9, None, r"setpoint 50 µm refused: out of range, allowed: 0 … 12 µm"),
     ],
@@ -280,7 +280,7 @@ def test_what_cannot_be_predicted_is_said_with_the_reason():
     assert "not known yet" in unknown.entry("why")[0]
     assert monitor.entry("predicted") == [None, None, None]
     kept, failed, waiting = monitor.entry("why")
-    assert "does not stay within the tolerance" in kept and "one line of two" in failed and "8 moves wait" in waiting
+    assert "does not stay within the tolerance" in kept and "one line of two" in failed and "8 moves are" in waiting
     assert "nothing is predicted: one line of two" in monitor.entry("warned")
 
 

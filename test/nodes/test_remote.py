@@ -82,7 +82,7 @@ def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys)
         setpoint(client, 4.0e-6)
     call(client, "reference_generator", "start")
     call(client, "motion_controller", "deactivate")
-    with pytest.raises(HysteresisError, match="/left/motion_controller is inactive, the axis would not move"):
+    with pytest.raises(HysteresisError, match="/left/motion_controller is inactive, so the axis would not move"):
         setpoint(client, 4.0e-6)
     assert "active → inactive" in capsys.readouterr().out
     call(client, "motion_controller", "activate")
