@@ -233,6 +233,8 @@ def test_an_interrupt_ends_the_command_and_all_who_work_for_it():
     )
     workers = until(lambda: len(found := workers_of(process)) == 2 and found, what="both workers")
     assert all(is_deaf(worker) for worker in workers)
+    # a worker whose parent ends while it reads what to import reports this itself
+    until(lambda: all("_multiarray_umath" in (worker / "maps").read_text() for worker in workers), what="their imports")
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to all of them
     output, errors = process.communicate(timeout=120)
     assert (process.returncode, output, errors) == (130, "", "hysteresis: interrupted\n")

@@ -205,7 +205,7 @@ def test_a_source_that_stops_answering_ends_the_run_with_an_error(inside, observ
     observer.talk(Float64MultiArray, "/setpoints")
     inside.spin()
     until(lambda: node.failure, what="the failure")
-    assert "no setpoints after sample 0 for 0.5 s (partner_timeout): start their source" in node.failure
+    assert "no setpoints after sample 0 for 0.5 s (partner_timeout): start their publisher" in node.failure
 
 
 @pytest.mark.parametrize(
