@@ -504,9 +504,17 @@ def design_axis(
     # the margins found by the robust design do not apply to a design that was made slower afterwards
     kept = {"robustness": robust} if found is first else {"limited": response}
     gain = 1.0 if response is None else response.gain
-    lacking = _unmodelled(axis, found.parameters)
-    made = AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
-    return replace(made, unmodelled=lacking)
+    return AxisDesign(
+        request,
+        found.parameters,
+        found.margins,
+        sample_time,
+        tuned,
+        damped=damped,
+        gain=gain,
+        unmodelled=_unmodelled(axis, found.parameters),
+        **kept,
+    )
 
 
 def _unmodelled(axis: AxisParameters, parameters: ControllerParameters) -> str:

@@ -22,15 +22,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros.identification.data import loops_resemble_drift
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.thresholds import DRIFT, DRIFT_OF_CHANGING_LOOPS, Threshold
 from hysteresis_ros.identification.validation import inflation
 
 #: Time constants of the relaxations, as fractions of the duration of the recording.
 SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
 #: The residual may contain relaxations that the fitted creep does not describe. Assumed standard deviation of the
-#: amplitude of each of them, as a fraction of a step. With this
-#: spacing of the time constants, relaxations of 0.01 correspond to creep of 2 % per decade.
+#: amplitude of each of them, as a fraction of a step. With this spacing of the time constants, relaxations of 0.01
+#: correspond to creep of 2 % per decade.
 CREEP = 0.01
+#: Number of held-out blocks for the test of a drift.
+BLOCKS = 5
 #: A drift is significant if it exceeds this multiple of its standard deviation.
 CERTAIN = 2.0
 
@@ -65,3 +69,23 @@ def drift_beside_creep(data, moved, residual, settled: bool) -> Drift:
     covariance = np.linalg.pinv(table.T @ table / np.outer(size, size) + np.diag(variance * expected / size**2))
     found = covariance @ (table.T @ residual / size) / size
     return Drift(float(found[0]), float(np.sqrt(variance * covariance[0, 0]) / size[0]))
+
+
+def drift_threshold(voltage) -> Threshold:
+    """Return the improvement on held-out blocks that a drift needs under this voltage [V], shape (N,)."""
+    return DRIFT_OF_CHANGING_LOOPS if loops_resemble_drift(voltage) else DRIFT
+
+
+def drift_of(error, kept, threshold: Threshold = DRIFT) -> float:
+    """Return the drift per sample of an error, shape (N,); 0 if a drift does not help to predict held-out blocks."""
+    place = kept / len(error)
+    line = np.column_stack([np.ones(len(kept)), place])
+    left = {1: 0.0, 2: 0.0}
+    for block in np.array_split(np.arange(len(kept)), BLOCKS):
+        others = np.delete(np.arange(len(kept)), block)
+        for columns in left:
+            found = np.linalg.lstsq(line[others, :columns], error[kept][others], rcond=None)[0]
+            left[columns] += float(np.sum((error[kept][block] - line[block, :columns] @ found) ** 2))
+    if not left[2] < threshold.bound(1.0) ** 2 * left[1]:
+        return 0.0
+    return float(np.linalg.lstsq(line, error[kept], rcond=None)[0][1]) / len(error)

@@ -33,14 +33,13 @@ import numpy as np
 
 from hysteresis_ros.errors import HysteresisError, IdentificationError, ParameterError
 from hysteresis_ros.identification.data import clipped_samples
-from hysteresis_ros.identification.drift import Drift, drift_beside_creep
+from hysteresis_ros.identification.drift import Drift, drift_beside_creep, drift_threshold
 from hysteresis_ros.identification.linear_systems import Known, LinearPart
 from hysteresis_ros.identification.plant_model import PlantModel, simulate_chain
 from hysteresis_ros.identification.preprocessing import (
     Condensed,
     cleaning_notes,
     condense,
-    drift_threshold,
     notable_outliers,
     repeated,
 )

@@ -44,15 +44,12 @@ from hysteresis_ros.identification.data import (
     check_samples,
     checked_signals,
     clipped_samples,
-    loops_resemble_drift,
 )
+from hysteresis_ros.identification.drift import drift_of, drift_threshold
 from hysteresis_ros.identification.thresholds import (
-    DRIFT,
-    DRIFT_OF_CHANGING_LOOPS,
     MOST_OUTLIERS,
     OUTLIERS_MATTER,
     OUTLYING,
-    Threshold,
 )
 from hysteresis_ros.models.play_operators import plays
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
@@ -376,8 +373,6 @@ def highest_frequency(values, sample_time: float) -> float:
 STRETCH = 11
 #: The error of an outlier differs from the median of its neighbours by at least this fraction of the error.
 AWAY = 0.5
-#: Number of held-out blocks for the test of a drift.
-BLOCKS = 5
 #: Largest number of fits of a model that has no terms for drift and outliers.
 ROUNDS = 3
 
@@ -468,26 +463,6 @@ def repeated(fit, look, state):
             break
         state, result = better, fit(better, result)
     return state, result
-
-
-def drift_threshold(voltage) -> Threshold:
-    """Return the improvement on held-out blocks that a drift needs under this voltage [V], shape (N,)."""
-    return DRIFT_OF_CHANGING_LOOPS if loops_resemble_drift(voltage) else DRIFT
-
-
-def drift_of(error, kept, threshold: Threshold = DRIFT) -> float:
-    """Return the drift per sample of an error, shape (N,); 0 if a drift does not help to predict held-out blocks."""
-    place = kept / len(error)
-    line = np.column_stack([np.ones(len(kept)), place])
-    left = {1: 0.0, 2: 0.0}
-    for block in np.array_split(np.arange(len(kept)), BLOCKS):
-        others = np.delete(np.arange(len(kept)), block)
-        for columns in left:
-            found = np.linalg.lstsq(line[others, :columns], error[kept][others], rcond=None)[0]
-            left[columns] += float(np.sum((error[kept][block] - line[block, :columns] @ found) ** 2))
-    if not left[2] < threshold.bound(1.0) ** 2 * left[1]:
-        return 0.0
-    return float(np.linalg.lstsq(line, error[kept], rcond=None)[0][1]) / len(error)
 
 
 def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | None = None) -> Cleaned:

@@ -233,16 +233,24 @@ def answer(laws, arrays, value, wanted, force):
 
 
 @kernel
-def resting_place(own_p, own, mode, value):
-    """Return the command [m] towards which a controller in this mode slews, given the displacement ``value`` [m].
+def resting(own_p, own, mode, value):
+    """Return the command [m] of a controller that does not run, in this mode, with the displacement ``value`` [m].
 
-    The slew rate is also limited while the command follows the displacement, because otherwise command and displacement
-    would form a loop with gain 1.
+    It slews to the safe command, in a quiet hold to the held command, and without a compensator to the displacement;
+    from a stop by the plant on it is the achieved command. The slew rate is also limited while the command follows the
+    displacement, because otherwise command and displacement would form a loop with gain 1.
     """
+    target = value if mode == FOLLOWING else own_p[SAFE_COMMAND]
     if mode == QUIET:
-        return held_command(own_p, own, value)
-    end_quiet(own)
-    return value if mode == FOLLOWING else own_p[SAFE_COMMAND]
+        target = held_command(own_p, own, value)
+    else:
+        end_quiet(own)
+    if mode == TRIPPED:
+        own[RETURNING] = AT_SAFE_VOLTAGE
+    if own[RETURNING] == AT_SAFE_VOLTAGE and own[ANSWERED] != 0.0:
+        return own[ACHIEVED]
+    own[RETURNING] = 1.0
+    return towards(own[COMMANDED], target, own_p[SAFE_STEP])
 
 
 @nested
@@ -291,13 +299,7 @@ def control(laws, arrays, row):
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode != HOLDING:
-        command = towards(command, resting_place(own_p, own, mode, value), own_p[SAFE_STEP])
-        if mode == TRIPPED:
-            own[RETURNING] = AT_SAFE_VOLTAGE
-        if own[RETURNING] == AT_SAFE_VOLTAGE and own[ANSWERED] != 0.0:
-            command = own[ACHIEVED]
-        else:
-            own[RETURNING] = 1.0
+        command = resting(own_p, own, mode, value)
     else:
         follow_while_holding(arrays.p, arrays.x, own, wanted)
     own[UNANSWERED] += 1.0

@@ -102,8 +102,10 @@ class HysteresisBlock(Block):
         """Continue from the present point after a change of parameters; the default does nothing."""
 
 
-#: Largest number of plays, and of cells on each side of a Preisach map; a fit with more needs too much memory.
-MOST_PLAYS, MOST_CELLS = 1000, 500
+#: Largest number of plays; a fit with more needs too much memory.
+MOST_PLAYS = 1000
+#: Largest number of cells on each side of a Preisach map; a fit with more needs too much memory.
+MOST_CELLS = 500
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ import pytest
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.bouc_wen import simulate_oscillator
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.drift import drift_of
 from hysteresis_ros.identification.plant_model import pass_through
-from hysteresis_ros.identification.preprocessing import cleaned, drift_of
+from hysteresis_ros.identification.preprocessing import cleaned
 from hysteresis_ros.identification.workflow import identify, validate
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import MODELS, hysteresis_block

@@ -209,7 +209,8 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
     configuration, namespace = designed(situation), situation.axis.namespace
     error = error_of(configuration, namespace, recording)
     expected = error_of(configuration, namespace, simulate(loop_axis(situation)))
-    rate, size = situation.rate, (STEPS[0] - FIRST_STEP) * abs(np.diff(_ends_of_steps(situation, configuration))[0])
+    rest, far = _ends_of_steps(situation, configuration)
+    rate, size = situation.rate, (STEPS[0] - FIRST_STEP) * abs(far - rest)
     held = round(STEP_HOLD * rate)
     stops = [3 * held + (number + 1) * (held + round(STEP_WAY * rate)) for number in range(len(STEPS))]
     ends = [slice(stop - round(JUDGED_PART * held), stop) for stop in stops]
