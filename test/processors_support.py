@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -25,11 +26,23 @@ NO_FUSED = {
     "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 X86_V3 X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL "
     "AVX512_SPR",
 }
-PROCESSORS = {
+#: Instructions that the code for a processor needs; a machine without them ends the process.
+NEEDED = {"SkylakeX": {"avx512f", "avx512bw", "avx512vl"}}
+ALL_PROCESSORS = {
     "Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
     "SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
     "Prescott, nothing fused": {"OPENBLAS_CORETYPE": "Prescott", **NO_FUSED},
 }
+
+
+def _has(name: str) -> bool:
+    """Return whether this machine can execute the code for a processor; another architecture ignores the setting."""
+    flags = re.search(r"^flags\s*:(.*)$", pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+    return flags is None or NEEDED.get(name, set()) <= set(flags.group(1).split())
+
+
+#: The processors that this machine can simulate.
+PROCESSORS = {name: settings for name, settings in ALL_PROCESSORS.items() if _has(name)}
 
 
 def environment_on(name: str) -> dict[str, str]:

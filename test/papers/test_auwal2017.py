@@ -16,6 +16,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from claims_support import assert_shown
 from click.testing import CliRunner
 
 import hysteresis_ros as hr
@@ -25,7 +26,6 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.laboratory.papers.auwal2017 import axis as auwal
 from hysteresis_ros.laboratory.papers.auwal2017 import control, model
 from hysteresis_ros.laboratory.papers.auwal2017 import reproduction as auwal2017
-from hysteresis_ros.laboratory.papers.claims import format_claims
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
 
@@ -164,5 +164,4 @@ def test_command_writes_json_and_page(found, monkeypatch, tmp_path):
 
 
 def test_the_document_shows_what_the_command_prints(found):
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert f"```text\n{format_claims(found)}\n```" in text
+    assert_shown(found, DOCUMENT)

@@ -15,11 +15,11 @@ import pathlib
 
 import numpy as np
 import pytest
+from claims_support import assert_shown
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.laboratory.papers import fleming2010
-from hysteresis_ros.laboratory.papers.claims import format_claims
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import single_axis
 
@@ -38,9 +38,7 @@ def test_exactly_the_known_row_does_not_hold_and_all_name_their_assumptions(foun
 
 
 def test_the_document_shows_the_table_as_it_is_printed(found):
-    text = DOCUMENT.read_text()
-    table = format_claims(found)
-    assert table[: table.index("\nRemarks")] in text
+    assert_shown(found, DOCUMENT)
 
 
 def test_the_configuration_has_the_gains_that_the_reproduction_finds():

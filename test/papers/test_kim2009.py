@@ -16,6 +16,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from claims_support import assert_shown
 from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
@@ -192,5 +193,4 @@ def test_wrong_input_ends_with_exit_code_2(found, monkeypatch, tmp_path):
 
 
 def test_the_document_shows_what_the_command_prints(found):
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert f"```text\n{format_claims(found)}\n```" in text
+    assert_shown(found, DOCUMENT)

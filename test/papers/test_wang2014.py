@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from claims_support import assert_shown
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.identification.arx import fit_arx
 from hysteresis_ros.laboratory.papers import EXPERIMENTS
-from hysteresis_ros.laboratory.papers.claims import format_claims
 from hysteresis_ros.laboratory.papers.wang2014 import axis as wang
 from hysteresis_ros.laboratory.papers.wang2014 import identification, model
 from hysteresis_ros.laboratory.papers.wang2014 import reproduction as wang2014
@@ -146,7 +146,7 @@ def test_writing_the_files_keeps_everything_but_the_identified_lines():
 
 
 def test_the_document_shows_what_the_command_prints(found):
-    assert f"```text\n{format_claims(found)}\n```" in DOCUMENT.read_text(encoding="utf-8")
+    assert_shown(found, DOCUMENT)
 
 
 def test_plots_show_loops_errors_responses_residuals_and_training(found):
