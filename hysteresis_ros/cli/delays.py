@@ -24,7 +24,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.fused import shallow_sleep
 from hysteresis_ros.loop.pacing import Lateness
 
@@ -223,7 +223,7 @@ def _throttling(run: Run) -> Delay:
     state = f"{runtime} of {period} µs"
     try:
         whole = run(whole=True)
-    except ParameterError:  # a running axis already uses the only spare core
+    except ConfigurationError:  # a running axis already uses the only spare core
         return Delay("real-time throttling", state, f"{NOT_MEASURED}: another loop polls the clock", change)
     cost = (
         f"a loop that never sleeps was interrupted for {1e3 * whole.max:.1f} ms at most, "
