@@ -140,12 +140,13 @@ def require_same(name: str, text: str) -> None:
     try:
         with pathlib.Path(name).open("rb") as stream:
             same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text
+        now = "has changed on this disk since"
     except (OSError, ValueError):
-        same = False
+        same, now = False, "is no longer on this disk"
     if not same:
         raise RecordingError(
-            f"{name}: the run used this file, which is too large for the recording and no longer on this disk "
-            f"({text}); restore it to repeat the run"
+            f"{name}: the run used this file, which is too large for the recording and {now} ({text}); restore it to "
+            "repeat the run"
         )
 
 

@@ -35,6 +35,7 @@ from hysteresis_ros.recordings.provenance import (
     in_force,
     packed_files,
     provenance,
+    require_same,
     whole,
 )
 from hysteresis_ros.recordings.run_bag import SampleWriter
@@ -139,6 +140,19 @@ def guarded(path, flush_time=0.0):
     made = GuardedBag(BagWriter(path), flush_time)
     made.attempt(lambda bag: [bag.write_float64("/voltage", float(k), k + 1) for k in range(50)])
     return made
+
+
+def test_a_run_with_a_large_file_says_whether_the_file_has_changed_or_left(tmp_path):
+    path = tmp_path / "waveform.csv"
+    path.write_bytes(b"0\n" * LARGEST)
+    [text] = packed_files([path]).values()
+    require_same(str(path), text)
+    path.write_bytes(b"1\n" * LARGEST)
+    with pytest.raises(RecordingError, match="too large for the recording and has changed on this disk since"):
+        require_same(str(path), text)
+    path.unlink()
+    with pytest.raises(RecordingError, match="too large for the recording and is no longer on this disk"):
+        require_same(str(path), text)
 
 
 def test_a_disk_that_is_nearly_full_ends_the_recording_in_order(tmp_path, monkeypatch):
