@@ -295,9 +295,9 @@ ITEM = "axis"
 START_UP = 10.0
 
 
-def diagnostics(node) -> DiagnosticArray:
-    """Return the diagnostics of a node: level, message and values."""
-    level, text, table = _at_work(node) if node.active else _at_rest(node)
+def diagnostics(node, busy: str = "") -> DiagnosticArray:
+    """Return the diagnostics of a node: level, message and values; ``busy``: why it answers nothing at present."""
+    level, text, table = (WARN, busy, {}) if busy else _at_work(node) if node.active else _at_rest(node)
     status = DiagnosticStatus()
     status.name = f"{node.get_fully_qualified_name()}: {ITEM}"
     status.hardware_id = f"{node.get_namespace()}/{node.get_parameter('joint').value}".strip("/")
@@ -728,6 +728,6 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         before, self._reported[key] = self._reported.get(key, 0), count
         return max(count - before, 0)
 
-    def tell_health(self) -> None:
-        """Publish the diagnostics of this node; called in every lifecycle state."""
-        self._diagnostics.publish(diagnostics(self))
+    def tell_health(self, busy: str = "") -> None:
+        """Publish the diagnostics of this node in any lifecycle state; ``busy``: why it answers nothing at present."""
+        self._diagnostics.publish(diagnostics(self, busy))

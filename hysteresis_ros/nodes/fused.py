@@ -37,7 +37,7 @@ from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.samples import SampleStream
-from hysteresis_ros.nodes.timing import CountedRate
+from hysteresis_ros.nodes.timing import COMPILING_TEXT, CountedRate
 from hysteresis_ros.references import inchworm_layout as gait
 from hysteresis_ros.units import readable
 
@@ -95,10 +95,6 @@ PYTHON_SWITCH_INTERVAL = 1e-4
 
 #: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
-COMPILING_TEXT = (
-    "compiling the loop, which takes 10 to 60 s once; until then the nodes do not answer; the next start loads it "
-    "from the cache"
-)
 
 #: Nodes whose parts of the loop are stopped while the nodes are inactive, in the order of their restart.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
@@ -240,13 +236,20 @@ class FusedAxis:
 
     @contextlib.contextmanager
     def _compilation_reported(self):
-        """Log that the loop is being compiled if the enclosed code takes longer than ``COMPILING``."""
-        report = threading.Timer(COMPILING, self.plant.get_logger().info, [COMPILING_TEXT])
+        """Report that the loop is being compiled if the enclosed code takes longer than ``COMPILING``."""
+        report = threading.Timer(COMPILING, self._report_compilation)
         report.start()
         try:
             yield
         finally:
             report.cancel()
+
+    def _report_compilation(self) -> None:
+        """Log that the loop is being compiled, and publish it as diagnostics, which also arrive while it compiles."""
+        self.plant.get_logger().info(COMPILING_TEXT)
+        for one in self.together:
+            for node in one.nodes.values():
+                node.tell_health(COMPILING_TEXT)
 
     def present_parameters(self) -> AxisParameters:
         """Return the present parameters of the nodes of the axis."""

@@ -18,6 +18,7 @@ import pathlib
 import signal
 import sys
 import time
+import warnings
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -132,6 +133,8 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         try:
             stay_on_this_machine()
             set_logger_level("rcl", LoggingSeverity.FATAL)  # wrong arguments also raise exceptions
+            # a command that no longer waits for its answer has reported that itself
+            warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )

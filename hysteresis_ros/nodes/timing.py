@@ -26,6 +26,11 @@ OVERRUN = 1.5
 #: Least time without a measurement after which the input is stale [s]; longer at low sample rates.
 STALE = 1.0
 
+#: Report of nodes while their loop is being compiled, when they answer no request.
+COMPILING_TEXT = (
+    "compiling the loop, which takes 10 to 60 s once, longer on a busy machine; until then the nodes do not answer; "
+    "the next start loads it from the cache"
+)
 
 #: Interval for counting a rate [s], long enough for messages that a busy machine delivers together.
 WINDOW = 1.0

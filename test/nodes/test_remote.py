@@ -15,6 +15,7 @@ import itertools
 import json
 import signal
 import threading
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +25,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import InProcess, axis_parameters, compose  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
+from hysteresis_ros.models.block import COMPILED  # noqa: E402
+from hysteresis_ros.nodes.remote.__main__ import done  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
 from hysteresis_ros.nodes.remote.commands import (  # noqa: E402
     _axis,
@@ -37,6 +40,7 @@ from hysteresis_ros.nodes.remote.commands import (  # noqa: E402
     stands,
     status,  # noqa: E402
 )
+from hysteresis_ros.nodes.timing import COMPILING_TEXT  # noqa: E402
 
 RATE = 50.0
 #: A client gives up after this time [s] if there is nothing to find.
@@ -291,6 +295,31 @@ def test_a_source_that_does_not_answer_has_not_taken_the_setpoint(axis, capsys):
     finally:
         source.destroy_node()
     assert not heard and "taken" not in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+def test_an_axis_that_compiles_says_so_to_commands(inside, monkeypatch, capsys):
+    """While a loop compiles, its nodes answer nothing, but their reports arrive."""
+    from hysteresis_ros.nodes import fused
+
+    answers: list = []
+
+    def asked_meanwhile(given):
+        with Client(timeout=20.0, context=inside.context) as patient:
+            said = patient.until(lambda: patient.why_silent("/motion_controller") == COMPILING_TEXT)
+        request = {"command": "call", "namespace": "", "node": "plant_simulator", "action": "activate"}
+        make = partial(Client, context=inside.context)
+        answers.append((said, done({**request, "timeout": SHORT}, make), capsys.readouterr().err))
+
+    monkeypatch.setattr(fused, "COMPILING", 0.0)
+    monkeypatch.setattr(fused, "require_speed", asked_meanwhile)
+    joined = fused.FusedAxis()
+    overrides = {"plant_simulator": {"late_limit": -1}}
+    axis = axis_parameters(overrides=overrides, time_mode="fused")
+    nodes = [joined.join(one) for one in compose(inside, axis, autostart=False)]
+    assert all(one.configure_now() for one in nodes) and all(one.activate_now() for one in nodes)
+    [(said, code, words)] = answers
+    assert said and code == 1 and "/plant_simulator does not answer within 0.3 s: compiling the loop" in words
 
 
 def test_the_service_of_a_setpoint_survives_what_is_no_setpoint(axis, client):

@@ -42,8 +42,8 @@ def done(request: dict, make_client: Callable[[str, float], Client] = Client) ->
             return command(client, **arguments) or 0
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
-        # not 2, the code of a refusal, because it is unknown whether the request was accepted
-        return 1 if command in (setpoint, move, quiet) and isinstance(error, AbsentError) else 2
+        # not 2, the code of a refusal, because it is unknown whether the request was accepted; status requests nothing
+        return 1 if isinstance(error, AbsentError) and command is not status else 2
 
 
 def main() -> int:

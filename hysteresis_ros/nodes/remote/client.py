@@ -17,18 +17,23 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES, normalised_namespace
 from hysteresis_ros.errors import HysteresisError, did_you_mean
 from hysteresis_ros.nodes.domain import stay_on_this_machine
+from hysteresis_ros.nodes.qos import diagnostics_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
+from hysteresis_ros.nodes.timing import COMPILING_TEXT
 
 #: Duration of one check of the graph [s].
 LOOK = 0.02
 #: Time without a change after which discovery counts as complete [s].
 SETTLED = 0.5
+#: Topic of the diagnostics.
+DIAGNOSTICS = "/diagnostics"
 
 
 class AbsentError(HysteresisError):
@@ -151,8 +156,20 @@ class Client:
             raise AbsentError(f"{owner} offers no {service} within {allowed:g} s; is it a node of an axis?")
         future = client.call_async(request or kind.Request())
         if not self.until(future.done, allowed):
-            raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs or has been killed")
+            raise AbsentError(f"{owner} does not answer within {allowed:g} s: {self.why_silent(owner)}")
         return future.result()
+
+    def why_silent(self, full: str) -> str:
+        """Return why a node does not answer, from its last diagnostics."""
+        said: dict[str, str] = {}
+
+        def hear(message: DiagnosticArray) -> None:
+            said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
+
+        ear = self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps=True))
+        self.until(lambda: full in said, SETTLED)
+        self.node.destroy_subscription(ear)
+        return COMPILING_TEXT if said.get(full) == COMPILING_TEXT else "it hangs or has been killed"
 
 
 def axis_nodes(names) -> dict[str, list[str]]:

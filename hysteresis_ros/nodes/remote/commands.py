@@ -37,7 +37,7 @@ from hysteresis_ros.configuration import ARRAY_TYPES, NODE_NAMES, ParameterRow, 
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import diagnostics_qos, setpoint_qos
-from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
+from hysteresis_ros.nodes.remote.client import DIAGNOSTICS, AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.timing import LIMITED
 from hysteresis_ros.signals import MOTOR_SOURCE, PLANT, kind_of
 from hysteresis_ros.units import quantity_in, readable
@@ -124,8 +124,6 @@ LAST = (
     ("inchworm_sequencer", "reference", "m"),
     ("hysteresis_compensator", "voltage", "V"),
 )
-#: Topic of the diagnostics.
-DIAGNOSTICS = "/diagnostics"
 #: Messages for nodes without diagnostics.
 MISSING = {"absent": "not found", "silent": "found, but did not answer"}
 #: Time within which every node publishes its diagnostics at least once, with a margin [s].
@@ -622,7 +620,8 @@ def _require_active(client: Client, source: str) -> None:
     names = [f"{space}/{name}" for name in axis_nodes(client.nodes())[space] if name != "recorder"]
     for name, state in lifecycle_states(client, names).items():
         if state == "silent":
-            raise AbsentError(f"{name} did not answer within {client.timeout:g} s, and nothing was sent")
+            why = client.why_silent(name)
+            raise AbsentError(f"{name} did not answer within {client.timeout:g} s, and nothing was sent: {why}")
         if state != "active":
             to_do = {"unconfigured": "configure", "inactive": "activate"}.get(state)
             hint = f": `hysteresis call {name} {to_do}`" if to_do else ""
@@ -709,6 +708,6 @@ def _cause(client: Client, source: str, state: dict[str, float]) -> str:
     def hear(message: DiagnosticArray) -> None:
         said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
 
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, diagnostics_qos(keeps=True))
+    client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps=True))
     client.until(lambda: "stopped" in said.get(plant, ""), ANSWER)
     return f"; {said[plant]}" if plant in said else ""
