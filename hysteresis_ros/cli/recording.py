@@ -231,7 +231,7 @@ def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None)
     if output.suffix.lower() not in (".npz", ".csv"):
         raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; export writes .npz or .csv")
     with shown(f"writing {output.name}"):
-        run = load_run(recording, namespace)
+        run = load_run(recording, namespace, further=True)
         save_run(run, output)
     missing = run.metadata.get("missing_samples", 0)
     click.echo(f"{output}: {len(run)} samples, {missing} missing")

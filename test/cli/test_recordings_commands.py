@@ -16,6 +16,7 @@ import sys
 import numpy as np
 import pytest
 
+import hysteresis_ros as hr
 from hysteresis_ros.recordings import COLUMNS, Recording, load_run
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.run_bag import write_recording
@@ -67,9 +68,19 @@ def test_export_gives_the_eight_columns_and_report_reads_them(bag, tmp_path, suf
     result = hysteresis("export", bag, "-o", output, "--namespace", "stage")
     assert result.returncode == 0, result.stderr
     run = load_run(output)
-    assert list(run.signals) == list(COLUMNS) and len(run) == 600
+    assert list(run.signals)[: len(COLUMNS)] == list(COLUMNS) and len(run) == 600
     again = hysteresis("report", output, "--json", "-")
     assert json.loads(again.stdout)["max_error_m"] == pytest.approx(1e-9)
+
+
+def test_export_gives_every_signal_of_a_run(tmp_path):
+    run = hr.simulate("kim2009", duration=0.02)
+    run.save(tmp_path / "run.mcap")
+    assert hysteresis("export", tmp_path / "run.mcap", "-o", tmp_path / "run.npz").returncode == 0
+    exported = load_run(tmp_path / "run.npz")
+    assert set(exported.signals) == set(run.signals)
+    for name in ("applied", "saturated", "switching", "skipped"):
+        np.testing.assert_array_equal(exported[name], run[name])
 
 
 def test_missing_bag(tmp_path):
