@@ -223,6 +223,17 @@ class AxisResponse:
     model: np.ndarray | None = None  #: shape (F,); Response of the controller's model of the plant at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,); Loop of the controller with this model, at the lines.
     margins: Margins | None = None  #: Margins of the controller on its own model.
+    limited: float = 0.0  #: Share of the excitation's samples in which range or slew rate limited the voltage [%].
+
+    @property
+    def limitation(self) -> str:
+        """Why the response is not that of the linear loop; empty if no voltage was limited."""
+        if not self.limited:
+            return ""
+        return (
+            f"the range or the slew rate limited the voltage in {self.limited:.3g} % of the samples, so this is not "
+            "the response of the linear loop: give a smaller amplitude or a lower upper frequency"
+        )
 
     @property
     def figures(self) -> dict:
@@ -236,6 +247,7 @@ class AxisResponse:
             "lowest_hz": float(response.frequency[0]),
             "highest_hz": float(response.frequency[-1]),
             "signal_to_noise_db": self.plant.ratio,
+            "limited_percent": self.limited,
         }
         for name, level in self._levels().items():
             found[f"{name}_db"] = level
@@ -294,7 +306,8 @@ class AxisResponse:
         if self.loop is not None:
             rows += self.loop.rows(self.margins)
         width = max(len(name) for name, _ in rows)
-        return [f"{name:<{width}}  {text}" for name, text in rows] + [f"note: {text}" for text in response.warnings]
+        notes = [*filter(None, [self.limitation]), *response.warnings]
+        return [f"{name:<{width}}  {text}" for name, text in rows] + [f"note: {text}" for text in notes]
 
     def _levels(self) -> dict[str, float]:
         """Return the median over the lines of noise and distortion, relative to the response [dB]."""
@@ -333,7 +346,10 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
         else:
             controller, model = measured_loop_parts(axis)
             loop = loop_of(controller, response.frequency, response.single, radius, sample_time, model)
-    found = AxisResponse(plan, plant, loop)
+    limited = 0.0
+    if recording.has("saturated"):
+        limited = 100.0 * float(np.mean(recording["saturated"][plan.first : plan.first + plan.length] > 0.0))
+    found = AxisResponse(plan, plant, loop, limited=limited)
     return found if axis is None else _with_model(found, axis)
 
 

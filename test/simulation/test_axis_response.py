@@ -140,6 +140,20 @@ def test_a_sample_of_delay_that_the_model_does_not_know_is_missing_in_the_measur
     assert slower.margins.delay_margin == found.margins.delay_margin
 
 
+def test_a_voltage_that_was_limited_is_stated_with_the_response(tmp_path):
+    asked = ResponseRequest(SHORT, "closed", amplitude="600nm")
+    _, _, free = measured(tmp_path, asked)
+    assert free.figures["limited_percent"] == 0.0 and not free.limitation
+    slow = {node: {"limits__slew_rate": 3e3} for node in ("plant_simulator", "hysteresis_compensator")}
+    configuration = axis_file()
+    for node, values in slow.items():
+        configuration = configuration.override(node, **values)
+    run, plan, cut = measured(tmp_path, asked, configuration)
+    share = np.mean(run["saturated"][plan.first : plan.first + plan.length])
+    assert cut.limited == pytest.approx(100.0 * share) and 20.0 < cut.limited < 100.0
+    assert f"note: the range or the slew rate limited the voltage in {cut.limited:.3g} %" in "\n".join(cut.lines())
+
+
 def test_files_come_back_and_tables_have_units(tmp_path):
     _, _, found = measured(tmp_path, ResponseRequest(SHORT, "closed"))
     for suffix in (".npz", ".csv", ".yaml"):

@@ -347,6 +347,7 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     ratio = peak.low / expected
     lines = [f"M_s {peak.text('.3g')}, predicted {expected:.3g}: {verdict(ratio, MARGIN_AS_PREDICTED)}"]
     lines += [f"{name} {text}".replace("model", "predicted") for name, text in loop.rows(margins)[:-1]]
+    lines += filter(None, [found.limitation])
     return Outcome(
         lines, {**found.figures, "as_predicted": ratio <= MARGIN_AS_PREDICTED}, _response_pictures(loop, model)
     )
