@@ -337,16 +337,24 @@ class ResponseMatrix:
         return ResponseMatrix(_at(self.response, kept), noise, total, self.condition[kept])
 
 
+#: Fewest samples of a period.
+SHORTEST = 16
+
+
 def experiments_of(name: str, values, period: int) -> np.ndarray:
     """Return signals of shape (R, P N, channels) as periods, shape (R, P, channels, N)."""
     array = finite_array(name, values)
     if array.ndim != 3:
         raise DataError("shape", f"{name} has shape {array.shape}; it must be (realisations, samples, channels)")
-    if period < 16 or array.shape[1] % period or not array.size:
+    if period < SHORTEST:
+        raise DataError("shape", f"a period of {period} samples is too short: at least {SHORTEST} are needed")
+    if not array.size:
+        raise DataError("shape", f"{name} has no samples")
+    if array.shape[1] % period:
         raise DataError(
             "shape",
-            f"{name} has {array.shape[1]} samples, not a whole number of periods of {period} (at least 16) samples; "
-            "remove the surplus samples at the beginning",
+            f"{name} has {array.shape[1]} samples, not a whole number of periods of {period} samples; remove the "
+            "surplus samples at the beginning",
         )
     realisations, samples, channels = array.shape
     return array.reshape(realisations, samples // period, period, channels).transpose(0, 1, 3, 2)

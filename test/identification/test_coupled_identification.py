@@ -122,6 +122,8 @@ def test_correlated_excitations_are_refused_with_their_condition_number():
         (lambda u: (u[:1], u[:1], PERIOD), DataError, "1 experiments cannot separate 2 inputs"),
         (lambda u: (u, u[:2], PERIOD), DataError, "differ in realisations or samples"),
         (lambda u: (u[:, :-1], u[:, :-1], PERIOD), DataError, "not a whole number of periods of 512"),
+        (lambda u: (u, u, 15), DataError, "a period of 15 samples is too short: at least 16 are needed"),
+        (lambda u: (u[:, :0], u[:, :0], PERIOD), DataError, "input has no samples"),
         (lambda u: (u[0], u[0], PERIOD), DataError, r"must be \(realisations, samples, channels\)"),
         (lambda u: (u * np.where(u == u.max(), np.nan, 1.0), u, PERIOD), DataError, "input.* is not finite"),
         (lambda u: (0.0 * u, u, PERIOD), DataError, "inputs are constant"),
