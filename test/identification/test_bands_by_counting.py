@@ -41,7 +41,7 @@ def counted(responses, probability=0.95):
 def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
     """Overlapping segments count as fewer averages than as many separate ones: a third fewer without a window."""
     random = np.random.default_rng(5)
-    found = [welch_response(*noisy(random, 64 * 16 + 64), 1.0, segment=128, window=window) for _ in range(400)]
+    found = [welch_response(*noisy(random, 512 * 17), 1.0, segment=1024, window=window) for _ in range(50)]
     ratio, inside = counted(found)
     assert ratio == pytest.approx(1.0, abs=0.035)
     assert inside == pytest.approx(0.95, abs=0.01)
@@ -52,8 +52,8 @@ def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
 @pytest.mark.parametrize("probability", [0.5, 0.95])
 def test_with_few_averages_the_band_is_as_much_wider_as_its_own_variance_is_uncertain(segments, probability):
     random = np.random.default_rng(6)
-    samples = 64 * (segments + 1)
-    found = [welch_response(*noisy(random, samples), 1.0, segment=128) for _ in range(500)]
+    samples = 512 * (segments + 1)
+    found = [welch_response(*noisy(random, samples), 1.0, segment=1024) for _ in range(62)]
     _, inside = counted(found, probability)
     assert inside == pytest.approx(probability, abs=0.02)
 
