@@ -180,7 +180,7 @@ def test_deviations_of_lag_delay_and_mode_are_those_of_repeated_recordings():
     part = LinearPart(lag=1e-3, delay=0.75 / RATE, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)
     errors = []
     for seed in range(8):
-        given, noise = np.random.default_rng(seed).standard_normal((2, 8000))
+        given, noise = np.random.default_rng(seed).standard_normal((2, 3000))
         stage = fit_stage(given, part.apply(given, 1.0 / RATE) + 0.01 * noise, 1.0 / RATE, MODES)
         numbers = {"lag": stage.part.lag, "delay": stage.part.delay, **stage.numbers}
         errors.append([(numbers[name] - value) / stage.deviations[name] for name, value in truth.items()])
