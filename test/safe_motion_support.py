@@ -42,15 +42,16 @@ def steps(configuration, bare: bool) -> np.ndarray:
     if bare and configuration.node("motion_controller").get("feedforward.type") == "inverse_dynamics":
         configuration = configuration.override("motion_controller", feedforward__type="static")
     axis = single_axis(configuration)
-    own, count = axis.reference_generator, 400
+    # an image of a camera in each sample takes most of the time
+    own, count = axis.reference_generator, 200 if configuration.node("plant_simulator").get("type") == "camera" else 400
     way = max((own.minimum, own.maximum), key=lambda end: abs(end - own.initial_setpoint)) - own.initial_setpoint
     values = {"waveform.type": "hold"}
     if bare:
-        begins = [0.0, 20 / axis.plant_simulator.sample_rate, 200 / axis.plant_simulator.sample_rate]
+        begins = [0.0, 20 / axis.plant_simulator.sample_rate, 0.5 * count / axis.plant_simulator.sample_rate]
         values = {"waveform.type": "steps", "waveform.steps.values": [0.0, way, 0.0], "waveform.steps.times": begins}
         values |= {"waveform.offset": 0.0, "waveform.steps.period": 0.0}
     setpoints = np.full(count, own.initial_setpoint)
-    setpoints[20:200] += 0.0 if bare else way
+    setpoints[20 : count // 2] += 0.0 if bare else way
     still = single_axis(configuration.override("reference_generator", **values))
     return simulate(still, setpoints=setpoints, describe=False)["voltage"]
 
