@@ -31,6 +31,7 @@ from hysteresis_ros.control.uncertainty import KEPT, ResponseUncertainty, Uncert
 from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.files import FAST_LOADER
 from hysteresis_ros.identification.parameter_file import SECTION, SMALL_LOOP_GAIN
 from hysteresis_ros.identification.safe_motion import smooth_approach, with_comments, with_safe_motion
 from hysteresis_ros.loop.axis import Axis
@@ -119,7 +120,7 @@ def _text(
     """Return the text of a file in which one section has new values and a new comment."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     full = f"{namespace}/{node}"
-    root = yaml.compose(configuration.original)
+    root = yaml.compose(configuration.original, Loader=FAST_LOADER)
     sections = [(key, value) for key, value in root.value if _belongs(key.value, full)]
     lines = configuration.original.splitlines(keepends=True)
     kept = 0

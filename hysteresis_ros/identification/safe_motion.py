@@ -40,6 +40,7 @@ from hysteresis_ros.configuration import dump_configuration, matches, normalised
 from hysteresis_ros.control.controller import LAWS
 from hysteresis_ros.control.damping.inner_loop import modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters
+from hysteresis_ros.files import FAST_LOADER
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import eigenvalues
@@ -246,7 +247,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
     If the group is written in one line, the values are added to that line, and the reasons follow below it.
     """
     full = f"{namespace}/{node}"
-    root = yaml.compose(text)
+    root = yaml.compose(text, Loader=FAST_LOADER)
     sections = [
         (key, value) for key, value in root.value if key.value.rsplit("/", 1)[-1] == node and matches(key.value, full)
     ]
@@ -297,7 +298,7 @@ def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tu
     full = f"{namespace}/{node}"
     sections = [
         value
-        for key, value in yaml.compose(text).value
+        for key, value in yaml.compose(text, Loader=FAST_LOADER).value
         if key.value.rsplit("/", 1)[-1] == node and matches(key.value, full)
     ]
     parameters = next(value for key, value in sections[-1].value if key.value == "ros__parameters")
