@@ -123,6 +123,11 @@ class Axis:
         return Laws(*self.plant.kernels, waveform, self.controller.kernel, model, inverse)
 
     @property
+    def interpreted_laws(self) -> Laws:
+        """The kernels for a loop in Python, whose inverse need not be compiled again in each process."""
+        return self.laws._replace(inverse=self.compensator.compensator.inverse_step)
+
+    @property
     def parts(self) -> Parts:
         """The arrays of the present blocks."""
         return Parts(self.plant.arrays, self.source.arrays, self.controller.arrays, self.compensator.arrays)
@@ -186,6 +191,8 @@ class Axis:
         row = np.zeros(len(columns)) if row is None else row
         arguments = self.laws, self.parts, self.given, whole, row, what
         run = specialised_for(whole.shape[1], ticks, *arguments) if self.plant.is_compiled else ticks
+        if run is ticks:
+            arguments = self.interpreted_laws, *arguments[1:]
         with np.errstate(all="ignore"):  # as in machine code
             run(*arguments)
         if whole is not columns:

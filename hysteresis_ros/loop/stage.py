@@ -535,6 +535,8 @@ class Stage:
         some = np.ascontiguousarray(columns[:, :, first:until])
         arguments = self.laws, self.parts, self.group, given, some, rows
         run = specialised_for(some.shape[-1] * len(self.axes), stage_ticks, *arguments)
+        if run is stage_ticks:
+            arguments = tuple(axis.interpreted_laws for axis in self.axes), *arguments[1:]
         with np.errstate(all="ignore"):  # as in machine code
             run(*arguments)
         columns[:, :, first:until] = some
