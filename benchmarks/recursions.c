@@ -243,6 +243,7 @@ void run_linear(Parameters p, State x, const double *restrict u, double *restric
 enum { MINIMUM, MAXIMUM, SLEW, STEP };
 enum { OUTPUT, FLAGS, LIMITED_SAMPLES, UNQUANTISED };
 enum { RANGE = 1, SLEWING = 2, QUANTISED = 4 };
+static const double NEGLIGIBLE = 1e-6;
 
 static inline double limits(const double *p, double *x, double u)
 {
@@ -251,11 +252,13 @@ static inline double limits(const double *p, double *x, double u)
         v = last;
         flags += RANGE;
     } else if (v < p[MINIMUM]) {
+        if (v < p[MINIMUM] - NEGLIGIBLE * (p[MAXIMUM] - p[MINIMUM]))
+            flags += RANGE;
         v = p[MINIMUM];
-        flags += RANGE;
     } else if (v > p[MAXIMUM]) {
+        if (v > p[MAXIMUM] + NEGLIGIBLE * (p[MAXIMUM] - p[MINIMUM]))
+            flags += RANGE;
         v = p[MAXIMUM];
-        flags += RANGE;
     }
     double slew = p[SLEW];
     if (slew > 0.0) {

@@ -34,6 +34,8 @@ UNQUANTISED = 3
 
 #: Bits of ``x[FLAGS]``.
 RANGE, SLEWING, QUANTISED = 1, 2, 4
+#: Excess over the range that does not count as limited, as a fraction of the range: less than a step of any converter.
+NEGLIGIBLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,13 @@ def limits(p, x, u):
         v = last
         flags += RANGE
     elif v < p[MINIMUM]:
+        if v < p[MINIMUM] - NEGLIGIBLE * (p[MAXIMUM] - p[MINIMUM]):
+            flags += RANGE
         v = p[MINIMUM]
-        flags += RANGE
     elif v > p[MAXIMUM]:
+        if v > p[MAXIMUM] + NEGLIGIBLE * (p[MAXIMUM] - p[MINIMUM]):
+            flags += RANGE
         v = p[MAXIMUM]
-        flags += RANGE
     slew = p[SLEW]
     if slew > 0.0:
         if v > last + slew:

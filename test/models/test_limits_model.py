@@ -33,6 +33,14 @@ def test_range_is_clipped_flagged_and_counted():
     assert block.x[model.FLAGS] == model.RANGE
 
 
+@pytest.mark.parametrize("excess, limited", [(1e-6, False), (1e-3, True)])
+def test_an_excess_smaller_than_a_step_of_any_converter_is_clipped_but_does_not_count(excess, limited):
+    block = Limits(LimitsParameters(minimum=-30.0, maximum=120.0), 1e-3)
+    for voltage, end in ((-30.0 - excess, -30.0), (120.0 + excess, 120.0)):
+        assert block.step(voltage) == end and block.saturated == limited
+    assert block.x[model.LIMITED_SAMPLES] == 2.0 * limited
+
+
 def test_slew_rate_is_volts_per_second():
     block = Limits(LimitsParameters(minimum=0.0, maximum=100.0, slew_rate=1000.0), 1e-3)
     np.testing.assert_allclose(block.simulate([10.0] * 3 + [0.0]), [1.0, 2.0, 3.0, 2.0])
