@@ -16,6 +16,7 @@ import ctypes
 import importlib.util
 import math
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -67,6 +68,8 @@ class Device:
         self._driver = declared.driver()
         self._open = True
         self._written: float | None = None
+        #: Time at which a running call of ``read`` or ``write`` began [s]; None: no such call runs.
+        self.called_at: float | None = None
         self._functions: _MethodFunctions | None = None
         #: The lock protects the attempts to make the device safe; the event ends the attempts in the background.
         self._calling, self._over = threading.RLock(), threading.Event()
@@ -75,7 +78,7 @@ class Device:
             with self._named("cannot be opened", ParameterError):
                 self.capabilities = self._driver.open(parameters, sample_rate)
             suits(self.capabilities)
-        except Exception:
+        except BaseException:
             self.close()
             raise
 
@@ -91,9 +94,19 @@ class Device:
             yield
         except passed:
             raise
-        except Exception as error:  # any error of a driver must make the axis safe
+        except BaseException as error:  # any error of a driver must make the axis safe
+            if not isinstance(error, Exception) and threading.current_thread() is threading.main_thread():
+                raise  # a signal
             cause = _as_driver_error(error)
             raise DriverError(self.name, f"{what}: {cause.device} {cause.problem}", cause.remedy) from error
+
+    @contextlib.contextmanager
+    def _timed(self) -> Iterator[None]:
+        self.called_at = time.monotonic()
+        try:
+            yield
+        finally:
+            self.called_at = None
 
     def read(self) -> tuple[float, ...]:
         """Return the position of each joint [position_unit], then the forces [N]; NaN without a measurement.
@@ -104,7 +117,7 @@ class Device:
             The device does not answer, or the answer has a wrong number of positions or forces, or an infinite
             position.
         """
-        with self._named("cannot be read"):
+        with self._named("cannot be read"), self._timed():
             return self._checked_reading()
 
     def _checked_reading(self) -> tuple[float, ...]:
@@ -132,7 +145,7 @@ class Device:
             There are too many voltages, or one is not finite or out of the device's range (no voltage is sent in these
             cases), or the device refuses them.
         """
-        with self._named("cannot be written"):
+        with self._named("cannot be written"), self._timed():
             self._write_checked(voltages)
 
     def _write_checked(self, voltages: Sequence[float]) -> None:
@@ -262,7 +275,7 @@ class Device:
             raise DriverError(error.device, problem, remedy) from error
 
     def _make_safe(self) -> None:
-        with self._calling:
+        with self._calling, _exits_are_errors():
             self._driver.make_safe()
         self._written = None
 
@@ -317,7 +330,7 @@ class Device:
             except DriverError as error:
                 wrong = str(error)
         # no caller can handle the error any more
-        with contextlib.suppress(DriverError), self._named("cannot be closed"):
+        with contextlib.suppress(DriverError), self._named("cannot be closed"), _exits_are_errors():
             self._driver.close()
         self._open = False
         return wrong
@@ -358,7 +371,7 @@ class _MethodFunctions:
             write,
             make_safe,
             0,
-            self._errors.__getitem__,
+            self._explain,
             clock if can.clock else 0,
             trigger if can.trigger_rate and not can.compares else 0,
             pulses if can.trigger_input else 0,
@@ -372,11 +385,15 @@ class _MethodFunctions:
                 if not self._device._open:
                     raise ValueError("it is closed")
                 return method(*given) or 0
-            except Exception as error:  # any error of a driver must make the axis safe
+            except BaseException as error:  # any error of a driver must make the axis safe, also SystemExit
                 self._errors[number] = _as_driver_error(error)
                 return number
 
         return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, *arguments)(call)
+
+    def _explain(self, code: int) -> DriverError:
+        """Return the exception that became an error code."""
+        return self._errors.get(code) or _as_driver_error(RuntimeError(f"error code {code}"))
 
     def _read(self, positions) -> int:
         values = self._device._checked_reading()
@@ -396,7 +413,16 @@ class _MethodFunctions:
         count[0] = int(self._device._driver.pulses())
 
 
-def _as_driver_error(error: Exception) -> DriverError:
+@contextlib.contextmanager
+def _exits_are_errors() -> Iterator[None]:
+    """Turn SystemExit and KeyboardInterrupt of a driver into its error, also in the main thread."""
+    try:
+        yield
+    except (SystemExit, KeyboardInterrupt) as error:
+        raise _as_driver_error(error) from error
+
+
+def _as_driver_error(error: BaseException) -> DriverError:
     """Return the error of a driver as a DriverError with a remedy."""
     if isinstance(error, DriverError):
         return error

@@ -469,6 +469,11 @@ class DrivenPlant(Plant):
         return self._device
 
     @property
+    def called_at(self) -> float | None:
+        """Time at which a running call of the driver began [s]; None: no call runs."""
+        return self._opened.called_at
+
+    @property
     def capabilities(self) -> Capabilities:
         """Properties of the device, as its driver reports them."""
         return self._opened.capabilities
@@ -809,6 +814,13 @@ class CompiledPlant(DrivenPlant):
         self.make_safe()
         self._made_safe()
         return True
+
+    def step_to_safe(self) -> bool:
+        """Move the voltage one step towards the safe voltage; False if it is reached, or the device has failed."""
+        moved = super().step_to_safe()
+        if moved:
+            self.arrays.voltages[0] = self.amplifier.value(self.limits.x[OUTPUT])
+        return moved
 
     def make_safe(self) -> None:
         """Bring the device to its safe state."""

@@ -35,6 +35,7 @@ from hysteresis_ros.loop.pacing import Lateness, Reader
 from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters, RecorderNodeParameters
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.nodes.plant_runners import blocked_text
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.samples import SampleStream
 from hysteresis_ros.nodes.timing import COMPILING_TEXT, CountedRate
@@ -418,7 +419,7 @@ class FusedAxis:
         if loop.failure or loop.is_blocked:
             for one in self.together:
                 one._over = True
-                one.plant.fail(loop.failure or one._explain_blocked())
+                one.plant.fail(loop.failure or blocked_text(one.plant, loop.sample, loop.patience))
         elif ended and loop.sample >= self.plant.parameters.samples > 0:
             for one in self.together:
                 one._over = True
@@ -435,20 +436,6 @@ class FusedAxis:
             self.plant.runner.samples.show(self, ended)
         self.tell_changes()
         return bool(samples.table.shape[1])
-
-    def _explain_blocked(self) -> str:
-        assert self.loop is not None
-        driver = self.plant.parameters.driver
-        watchdog = self.plant.part.capabilities.watchdog if driver else None
-        acts = (
-            f"makes the device safe after {watchdog:g} s without a voltage"
-            if watchdog
-            else "does not exist, so the device keeps its last voltage"
-        )
-        return (
-            f"driver {driver} has not returned from sample {self.loop.sample} for {self.loop.patience:g} s: "
-            f"no voltage is sent; the device's own watchdog {acts}; remove what blocks the driver"
-        )
 
     def _show(self, samples) -> None:
         number = samples.first + samples.table.shape[1] - 1

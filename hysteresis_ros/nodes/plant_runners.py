@@ -12,12 +12,15 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import threading
 import time
 from array import array
 
 from std_msgs.msg import String
 
+from hysteresis_ros.hardware.device import METHOD_PATIENCE
 from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER, Lockstep
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.realtime import (
@@ -207,6 +210,20 @@ def remedy_for_late_voltages(device: bool, alone: bool) -> str:
     return f"{', '.join(remedies[:-1])}, or {remedies[-1]}"
 
 
+def blocked_text(node, sample: int, patience: float) -> str:
+    """Return that the driver of a plant has not returned for ``patience`` [s], and what becomes of the voltage."""
+    watchdog = node.part.capabilities.watchdog
+    acts = (
+        f"makes the device safe after {watchdog:g} s without a voltage"
+        if watchdog
+        else "does not exist, so the device keeps its last voltage"
+    )
+    return (
+        f"driver {node.parameters.driver} has not returned from sample {sample} for {patience:g} s: no voltage is "
+        f"sent; the device's own watchdog {acts}; remove what blocks the driver"
+    )
+
+
 class RealTimePlant(RealTime):
     """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
@@ -366,6 +383,26 @@ class RealTimePlant(RealTime):
         self._leaving.clear()
         self._thread = threading.Thread(target=self._keep_time, name="plant_time", daemon=True)
         self._thread.start()
+        if any(node.parameters.driver for node in self.plants):
+            threading.Thread(target=self._watch_drivers, args=(self._thread,), daemon=True).start()
+
+    @property
+    def plants(self) -> list:
+        """The plants whose samples the timing thread computes."""
+        return [self.node]
+
+    def _watch_drivers(self, thread: threading.Thread) -> None:
+        """End this process if a call of a driver does not return, because other threads wait for the sample."""
+        driven = [node for node in self.plants if node.parameters.driver]
+        while thread.is_alive():
+            thread.join(0.1 * METHOD_PATIENCE)
+            for node in driven:
+                begun = node.part.called_at
+                if begun is not None and time.monotonic() - begun > METHOD_PATIENCE:
+                    node.get_logger().fatal(blocked_text(node, node.sample, METHOD_PATIENCE))
+                    sys.stdout.flush()
+                    sys.stderr.flush()
+                    os._exit(1)
 
     def stop_time(self) -> None:
         """Stop the timing thread."""
@@ -446,7 +483,7 @@ class RealTimePlant(RealTime):
     def _keep_time(self) -> None:
         try:
             self._keep_time_until_left()
-        except Exception as error:  # otherwise the thread would end without a message
+        except BaseException as error:  # otherwise the thread would end without a message
             self.node.fail(f"the timing thread failed: {type(error).__name__}: {error}")
 
     def _keep_time_until_left(self) -> None:

@@ -193,6 +193,11 @@ class RealTimeStagePlant(RealTimePlant):
     def _first(self):
         return self.node.group.nodes[0].runner
 
+    @property
+    def plants(self) -> list:
+        """The plants of all axes."""
+        return self.node.group.nodes
+
     def start_time(self) -> None:
         """Start the timing thread when the plants of all axes are active."""
         if all(node.active for node in self.node.group.nodes):

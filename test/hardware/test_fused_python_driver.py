@@ -12,6 +12,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -168,6 +170,53 @@ def test_an_exception_stops_the_axis_in_that_sample_with_the_same_words(noting, 
         back = run(plant, [60.0] * 400)
         assert not plant.tripped and not plant.failure and back[-1, at.PLANT_VOLTAGE] == 60.0
         plant.close()
+
+
+@pytest.mark.parametrize("what", ["read", "write"])
+@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt()])
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_an_exit_in_a_driver_stops_the_axis_as_an_exception_does(noting, kind, error, what):
+    plant = kind(axis_of().plant_simulator)
+    plant.reset()
+    run(plant, [60.0] * 50)
+    device = noting.last
+    safes, sent = device.safes, len(device.sent)
+    noting.broken = {what: error}
+    thread = threading.Thread(target=run, args=(plant, [60.0] * 20))  # the thread that keeps the time
+    thread.start()
+    thread.join()
+    noting.broken = {}
+    assert plant.tripped and device.safes == safes + 1 and len(device.sent) == sent
+    assert f"{type(error).__name__}: " in plant.failure, plant.failure
+    plant.close()
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_one_that_exits_when_made_safe_is_reported_and_closed(noting, monkeypatch, kind):
+    closed: list = []
+    monkeypatch.setattr(noting, "close", lambda self: closed.append(self) or sys.exit(2))
+    plant = kind(axis_of().plant_simulator)
+    run(plant, [40.0] * 20)
+    noting.broken = {"safe": SystemExit(1)}
+    with pytest.raises(DriverError, match="cannot be made safe: SystemExit: 1: the output is still at"):
+        plant.make_safe()
+    assert "the output is still at" in plant.close() and closed == [noting.last]
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_the_voltage_of_one_that_cannot_be_made_safe_is_the_last_that_it_got(noting, kind):
+    plant = kind(axis_of().plant_simulator)
+    run(plant, [40.0] * 400)
+    while plant.step_to_safe():
+        pass
+    assert noting.last.sent[-1] == (plant.parameters.safe_voltage,) != noting.last.sent[0]
+    noting.broken = {"safe": OSError("unplugged")}
+    for _ in range(2):
+        with pytest.raises(DriverError, match="the output is still at 0 V"):
+            plant.make_safe()
+    noting.broken = {}
+    plant.make_safe()
+    plant.close()
 
 
 def test_one_that_cannot_be_made_safe_is_tried_again_until_it_is(noting):

@@ -209,6 +209,61 @@ def test_a_driver_that_cannot_be_opened_ends_the_node_in_one_line(processes, tmp
     assert len(lines) == 1 and "not configured: " in lines[0] and said in lines[0], node.output
 
 
+#: A driver that does not return from its 100th voltage, and shortens the patience of its process.
+STUCK = """import pathlib
+import time
+from dataclasses import dataclass
+
+from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.hardware.driver import Capabilities, Driver, HardwareDriver, Reading
+from hysteresis_ros.nodes import plant_runners
+
+plant_runners.METHOD_PATIENCE = 0.5
+
+
+@dataclass(frozen=True)
+class Options(Parameters):
+    pass
+
+
+class Stuck(Driver):
+    written, voltage = 0, 0.0
+
+    def open(self, parameters, sample_rate):
+        return Capabilities(1, 1, -30.0, 120.0, highest_rate=3000.0)
+
+    def read(self):
+        return Reading((1e-7 * self.voltage,))
+
+    def write(self, voltages):
+        self.written, self.voltage = self.written + 1, voltages[0]
+        while self.written >= 100:
+            pathlib.Path(__file__).with_name("stuck").touch()
+            time.sleep(0.05)
+
+    def make_safe(self):
+        pass
+
+    def close(self):
+        pass
+
+
+DRIVER = HardwareDriver(name="stuck", title="does not return", parameters=Options, driver=Stuck)
+"""
+
+
+@pytest.mark.parametrize("how", ["--composed", "--processes"])
+def test_a_driver_that_does_not_return_ends_the_run_by_its_name(processes, tmp_path, how):
+    (tmp_path / "stuck.py").write_text(STUCK)
+    text = axis_parameters(sample_rate=RATE, time_mode="realtime").configuration_text()
+    path = tmp_path / "axis.yaml"
+    path.write_text(text.replace("driver: ''", f"driver: {tmp_path / 'stuck.py'}"))
+    run = processes.command("up", str(path), how)
+    assert run.wait() == 1, run.output
+    assert (tmp_path / "stuck").exists()
+    assert "has not returned from sample" in run.output and "so the device keeps its last voltage" in run.output
+
+
 def test_up_refuses_a_driver_in_lockstep(processes, tmp_path):
     path = write_axis(tmp_path / "axis.yaml", driven())
     command = processes.command("up", path, "--rate", "lockstep")

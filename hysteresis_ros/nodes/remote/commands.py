@@ -239,8 +239,8 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
             if plant:
                 continue
         state = states.get(full, "absent")
-        if not message and state in MISSING:
-            message = f"{MISSING[state]} within {client.timeout:g} s"
+        if state in MISSING and (not message or word == "ok"):
+            word, message = "", f"{MISSING[state]} within {client.timeout:g} s"
         nodes.append(NodeStatus(full, state, word, message, rate))
     timing = reports.get(f"{space}/plant_simulator", (None, "", {}))[2]
     spin = float(timing.get("spin_us", 0.0)), float(timing.get("spin_percent_of_a_core", 0.0))
