@@ -151,12 +151,11 @@ class Processes:
     def command(self, *arguments: str) -> Process:
         return self.start([sys.executable, "-m", "hysteresis_ros.cli.main", *arguments], arguments[0])
 
-    def busy(self, number: int = 2) -> None:
-        """Keep the cores busy."""
+    def busy(self, number: int = 2) -> list[Process]:
+        """Keep the cores busy, until these processes are killed."""
         # these processes must end even if the test run is killed
         loop = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
-        for _ in range(number):
-            self.start([sys.executable, "-c", loop], "busy")
+        return [self.start([sys.executable, "-c", loop], "busy") for _ in range(number)]
 
     def close(self) -> None:
         for process in self.started:
