@@ -11,9 +11,11 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
@@ -59,9 +61,10 @@ def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for
 
 
 def test_a_full_disk_ends_the_recording_and_never_the_axis_and_leaves_what_was_written(processes, observer, tmp_path):
-    # for a writing process, a limit on the file size is like a full disk
-    full = ("bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash")
-    steered = Steered(processes, observer, tmp_path, *full)
+    steered = Steered(processes, observer, tmp_path)
+    for process in psutil.Process(steered.run.popen.pid).children(recursive=True):
+        # for a writing process, a limit on the file size is like a full disk
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (ROOM * 1024, ROOM * 1024))
     steered.ask(5e-6)
     until(lambda: "cannot be written" in steered.run.output, what="a recording that ends")
     for setpoint in (2e-6, 7e-6):
