@@ -67,7 +67,9 @@ def names_of(values: dict) -> set[str]:
 
 @pytest.mark.parametrize(("how", "moments"), [("--composed", 700), ("--processes", 400)])
 def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp_path, how, moments):
+    from rcl_interfaces.srv import SetParametersAtomically
     from sensor_msgs.msg import JointState
+    from std_srvs.srv import Trigger
 
     from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.files import load_run
@@ -86,9 +88,14 @@ def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp
     sequence = [asked[index] for index in order]
     for place, step in zip((3, 6, 8, 12, 14, 17, 5, 10, 18), asked[len(RETUNED) :], strict=True):
         sequence.insert(place, step)
-    wanted = 0
+    for kind, what in sequence:  # discovery lasts many samples, with a new client for each request
+        service = SetParametersAtomically if kind == "set" else Trigger
+        name = f"/{what[0]}/{'set_parameters_atomically' if kind == 'set' else what[1]}"
+        if name not in observer.kept_clients:
+            observer.keep_client(service, name)
+    first, wanted = len(heard), 0
     for moment, (kind, what) in zip(moments, sequence, strict=False):
-        until(lambda moment=moment: len(heard) >= moment or run.popen.poll() is not None, what="the run")
+        until(lambda moment=moment: len(heard) >= first + moment or run.popen.poll() is not None, what="the run")
         if kind == "set":
             node, values, accepted = what
             success, reason = observer.set_parameters(f"/{node}", **values)
