@@ -51,7 +51,7 @@ def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(
     until(lambda: plant.count_subscribers("/plant_simulator/state"))
     until(lambda: controller.count_subscribers("/motion_controller/state"))
     inside.spin()
-    until(lambda: controller.sample > 1500, what="the axis at rest")
+    until(lambda: controller.sample > 900, what="the axis at rest")
     for kind in TYPES:
         success, reason = observer.set_parameters("/motion_controller", type=kind)
         assert success, reason
@@ -65,16 +65,16 @@ def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(
         assert controller.get_parameter("type").value == kind
         assert controller.part.handover.parameters.time == 0.05
         since = controller.sample
-        until(lambda since=since: controller.sample > since + 600, what=f"the axis under {kind}")
+        until(lambda since=since: controller.sample > since + 300, what=f"the axis under {kind}")
     assert observer.trigger("/plant_simulator/stop").success
     until(lambda: len(heard) == controller.sample and len(states) >= len(heard), what="all that was published")
     assert not any(node.failure for node in inside.nodes)
     command = np.array([message.position[3] for message in heard])
     displacement = np.array([message.position[0] for message in states])
-    begun = np.flatnonzero(np.diff(command[1000:]) == 0.0) + 1001
+    begun = np.flatnonzero(np.diff(command[700:]) == 0.0) + 701
     assert len(begun) == len(TYPES)
     for first in begun:
         assert abs(command[first + 1] - command[first]) < 0.01 * STEP
-    level = displacement[1400 : begun[-1]]  # the last type is open loop, whose level has the error of the mismatch
+    level = displacement[850 : begun[-1]]  # the last type is open loop, whose level has the error of the mismatch
     assert np.max(np.abs(level - STEP)) < 0.03e-6
     assert abs(displacement[-1] - STEP) > 0.05e-6
