@@ -78,12 +78,12 @@ def test_faults_of_an_inchworm_are_verified_bit_for_bit(processes, tmp_path):
     schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
     configuration = configuration.override("inchworm_sequencer", **quick, **schedule)
     path = write_axis(tmp_path / "axis.yaml", AxisParameters.from_configuration(configuration))
-    faults = fault_options(("lost_grip:0.02:0.03:0.1", "stale:0.06:0.01", "drop:0.08:0.02:0.3"))
-    run, recorded = record(processes, tmp_path, path, "--composed", "--duration", "0.12", *faults)
+    faults = fault_options(("lost_grip:0.01:0.02:0.1", "stale:0.035:0.01", "drop:0.05:0.01:0.3"))
+    run, recorded = record(processes, tmp_path, path, "--composed", "--duration", "0.07", *faults)
     assert run.wait() == 0, run.output
     assert "equal the offline twin bit for bit, none missing" in run.output
     table = recorded()
-    sample = round(0.06 / table.sample_time)
+    sample = round(0.035 / table.sample_time)
     assert np.all(np.isnan(table["seen"][sample : sample + 50]))
     assert np.max(np.abs(table["slip"])) > 1.0e-7  # without grip the front clamp slips
     assert table["error"][sample + 60] != 0.0 and table["error"][-1] == 0.0

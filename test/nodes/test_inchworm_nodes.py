@@ -60,7 +60,7 @@ def compose(inside, axis, **classes):
     return {name: inside.add(cls, getattr(axis, name)) for name, cls in zip(NODES, made, strict=True)}
 
 
-@pytest.mark.parametrize(("how", "samples"), [("--processes", 300), ("--composed", 2500)])
+@pytest.mark.parametrize(("how", "samples"), [("--processes", 300), ("--composed", 600)])
 def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, samples):
     from hysteresis_ros.recordings.files import load_run
 
@@ -133,8 +133,8 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     setpoint.publish(Float64(data=float("nan")))
     until(lambda: sequencer.refused == 2, what="refusals")
     assert sequencer.setpoint == 2.0e-4
-    setpoint.publish(Float64(data=-4.0e-5))
-    until(lambda: now("setpoint") == -4.0e-5)
+    setpoint.publish(Float64(data=-2.4e-5))
+    until(lambda: now("setpoint") == -2.4e-5)
     assert now("steps") == now("total_steps")  # stopped is stopped
     assert observer.trigger("/inchworm_sequencer/start").success
     until(lambda: now("arrived"), what="arrival")
@@ -147,7 +147,7 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     until(lambda: now("request") == at.FREEZE_REQUEST or not sequencer.sequencer.x[at.LEARNS], what="freezing")
     saved = observer.trigger("/inchworm_sequencer/save")
     assert saved.success and saved.message.endswith("walk.yaml")
-    setpoint.publish(Float64(data=-4.0e-5))  # a repeated value counts as a new request
+    setpoint.publish(Float64(data=-2.4e-5))  # a repeated value counts as a new request
     until(lambda: now("arrived") and now("speed") == 0.0, what="back at the setpoint")
     assert observer.trigger("/inchworm_sequencer/home").success
     until(lambda: now("setpoint") == 0.0 and now("arrived"), what="home")
