@@ -36,7 +36,7 @@ def test_services_steer_it_a_file_keeps_it_and_the_log_repeats_it(inside, observ
     from hysteresis_ros.loop.simulation import differences, simulate
 
     saved = tmp_path / "adapted.yaml"
-    run = RecordedRun(inside, lockstep_axis(4000, saved), tmp_path / "bag")
+    run = RecordedRun(inside, lockstep_axis(2400, saved), tmp_path / "bag")
     heard = observer.listen(DiagnosticArray, "/diagnostics")
     inside.spin()
     compensator = run.compensator
