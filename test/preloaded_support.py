@@ -51,7 +51,7 @@ HARMLESS = frozenset(
     | {"PYTHONUNBUFFERED", "PYTHONSAFEPATH", "PYTHONPATH"}
 )
 #: Modules whose processes start others of the package.
-STARTERS = frozenset({"hysteresis_ros.cli.main", "hysteresis_ros.cli.entry"})
+STARTERS = frozenset({"hysteresis_ros.cli.main", "hysteresis_ros.cli.entry", "hysteresis_ros.laboratory.campaign.run"})
 #: Modules of ROS that nodes import.
 ROS = (
     *("rclpy.lifecycle", "rclpy.action", "rclpy.executors", "rclpy.experimental"),
