@@ -52,24 +52,22 @@ def coupled_ticks(laws, pair, coupling, rows, setpoints, found):
         Measured displacements, voltages and modes of the controllers.
     """
     for k in range(found.shape[1]):
-        first, second = rows[0], rows[1]
-        first[at.SETPOINT] = setpoints[0, k]
-        second[at.SETPOINT] = setpoints[1, k]
-        sense(laws, pair.first.plant, first)
-        sense(laws, pair.second.plant, second)
-        one, other = first[at.MEASURED], second[at.MEASURED]
-        first[at.MEASURED] = one + coupling[0] * other
-        second[at.MEASURED] = other + coupling[0] * one
-        for row, parts in ((first, pair.first), (second, pair.second)):
+        for i in range(2):
+            rows[i, at.SETPOINT] = setpoints[i, k]
+            sense(laws, pair[i].plant, rows[i])
+        one, other = rows[0, at.MEASURED], rows[1, at.MEASURED]
+        rows[0, at.MEASURED] = one + coupling[0] * other
+        rows[1, at.MEASURED] = other + coupling[0] * one
+        for i in range(2):
+            row, parts = rows[i], pair[i]
             refer(laws, parts.source, row)
             control(laws, parts.controller, row)
             compensate(laws, parts.compensator, row)
             carried_out(parts.controller, row[at.APPLIED])
             actuate(laws, parts.plant, row)
-        for i in range(2):
-            found[i, k] = rows[i, at.MEASURED]
-            found[2 + i, k] = rows[i, at.VOLTAGE]
-            found[4 + i, k] = rows[i, at.CONTROLLER_MODE]
+            found[i, k] = row[at.MEASURED]
+            found[2 + i, k] = row[at.VOLTAGE]
+            found[4 + i, k] = row[at.CONTROLLER_MODE]
 
 
 def coupled_run(samples, coupling, faults=((), ())):
