@@ -253,13 +253,13 @@ def test_the_slow_axis_of_a_raster_gets_a_slow_law_unless_a_bandwidth_is_request
         assert found[slow].margins.noise_gain < 0.4 * first[slow].margins.noise_gain
         (fast,) = {"x", "y"} - {slow}
         assert found[fast].margins.bandwidth == first[fast].margins.bandwidth and not found[fast].calmed
-        asked = design_controllers(raster, replace(request, bandwidth=120.0), {})
-        assert asked[slow].margins.bandwidth == pytest.approx(120.0, rel=0.01)
+    asked = design_controllers(raster, replace(request, bandwidth=120.0), {}, slow)
+    assert asked[slow].margins.bandwidth == pytest.approx(120.0, rel=0.01)
     steps = alone.following(StageScanParameters("raster", (*size, *lines[:3], "slow=stepped"), periods=3))
     assert calm_bandwidth(steps)[1] > 50.0, "an axis that steps from line to line moves faster"
     spiral = alone.following(StageScanParameters("spiral", ("diameter=20um", "turns=8", "frame_rate=1Hz"), periods=2))
     assert calm_bandwidth(spiral) is None and calm_bandwidth(alone) is None
-    assert design_controllers(spiral, request, {})["y"].margins.bandwidth == first["y"].margins.bandwidth
+    assert design_controllers(spiral, request, {}, "y")["y"].margins.bandwidth == first["y"].margins.bandwidth
 
 
 def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
