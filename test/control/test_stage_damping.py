@@ -176,6 +176,7 @@ def test_a_damping_that_the_other_axis_does_not_permit_is_made_weaker(monkeypatc
     parameters = coupled((400.0, 800.0), (-0.3, 0.15, 0.27, 0.22))
     asked = DesignRequest("pid", damping="ppf", noise=5e-9)
     monkeypatch.setattr(dampings, "POINTS", {3: 4})  # a coarse search: four points of each parameter
+    monkeypatch.setattr(coupled_designs, "SHARES", (1.0, 0.6))  # of the slower laws, which do not suffice, only one
     once = functools.cache(design_axis)  # the design of the stage begins with those of the axes alone
     monkeypatch.setattr(coupled_designs, "design_axis", once)
     alone = {name: once(axis, asked, None) for name, axis in zip(parameters.names, parameters.axes, strict=True)}
