@@ -585,7 +585,7 @@ RUNS: dict[str, Callable[[], Signals]] = {
     "steering_mirror": stage("steering_mirror"),
     # hysteresis and inverses
     "bouc_wen": run(**modelled("bouc_wen", "general")),
-    "bouc_wen squared": run(**modelled("bouc_wen", "multiplicative", exponent=2.0, beta=3e5, gamma=-1e5)),
+    "bouc_wen squared": run(samples=120, **modelled("bouc_wen", "multiplicative", exponent=2.0, beta=3e5, gamma=-1e5)),
     "bouc_wen_mechanical": run(**modelled("bouc_wen_mechanical", "none", exponent=1.5, intersample="linear")),
     "bouc_wen_mechanical held": run(**modelled("bouc_wen_mechanical", "none", substeps=2)),
     "duhem of splines": run(**modelled("duhem", "general")),
