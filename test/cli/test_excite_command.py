@@ -91,7 +91,7 @@ def test_an_excited_axis_is_identified_from_its_bag(tmp_path):
         return subprocess.run(command, capture_output=True, text=True, timeout=180)
 
     bag = tmp_path / "bag"
-    arguments = ["--recipe", "decaying", "--frequency", 2, "--record", bag, "--rate", "lockstep", "--composed"]
+    arguments = ["--recipe", "decaying", "--frequency", 4, "--record", bag, "--rate", "lockstep", "--composed"]
     result = hysteresis("excite", "picma_stage", *arguments)
     assert result.returncode == 0, result.stderr
     again = hysteresis("excite", "picma_stage", *arguments)
