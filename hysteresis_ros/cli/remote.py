@@ -16,7 +16,7 @@ import os
 
 import click
 
-from hysteresis_ros.cli.options import NodeName
+from hysteresis_ros.cli.options import NodeName, Quantity
 
 
 def steered(timeout: float = 10.0):
@@ -26,7 +26,7 @@ def steered(timeout: float = 10.0):
     """
     words = "Time to wait for the node's answer [s]."
     options = (
-        click.option("--timeout", type=float, default=timeout, show_default=True, help=words),
+        click.option("--timeout", type=Quantity("s"), default=timeout, show_default=True, help=words),
         click.option("--namespace", default="", help="Namespace of the axis."),
     )
 

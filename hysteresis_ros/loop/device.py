@@ -428,7 +428,8 @@ class DrivenPlant(Plant):
             problem = f"the device's range of {can.minimum:g} … {can.maximum:g} {units[1]} does not contain "
             problem += f"limits.minimum … limits.maximum = {low:g} … {high:g} V"
             problem += "" if (least, most) == (low, high) else f", which are {least:g} … {most:g} {units[1]}"
-            raise DriverError(device, problem, "narrow the limits of plant_simulator and hysteresis_compensator")
+            remedy = "narrow the limits of plant_simulator and hysteresis_compensator; a commissioning has them from "
+            raise DriverError(device, problem, f"{remedy}minimum and maximum of /commissioning")
         if not rate <= can.highest_rate:
             raise DriverError(device, f"the device supports at most {can.highest_rate:g} Hz", "lower sample_rate")
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
