@@ -318,7 +318,8 @@ def open_phase(p, x):
                 x[at.JUDGE] = 1.0
                 drive_rear(x, p[at.GRIP_VOLTAGE])
                 enter(x, at.GRIPPING_REAR)
-        elif x[at.MODE] == at.LET_GO:
+        elif x[at.MODE] == at.LET_GO and x[at.MOVE_TO] == p[at.RESTING]:
+            # the return of a step ends elsewhere; it closes the front clamp, and the release begins from there
             x[at.ANCHOR] = x[at.SLIDER]
             enter(x, at.RELEASED)
         else:

@@ -111,6 +111,19 @@ def recorded_run(inside, observer, tmp_path):
     return nodes, heard, end
 
 
+def test_a_motor_that_walks_in_steps_refuses_to_learn(inside):
+    from std_srvs.srv import Trigger
+
+    from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+
+    given = motor().inchworm_sequencer
+    given = replace(given, walk=replace(given.walk, continuous=False))
+    sequencer = inside.add(InchwormSequencerNode, given, autostart=False)
+    assert sequencer.configure_now()
+    answer = sequencer._on_learn(None, Trigger.Response())
+    assert not answer.success and "only continuous walking learns" in answer.message
+
+
 def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorded_run, observer, tmp_path):
     from std_msgs.msg import Float64
 

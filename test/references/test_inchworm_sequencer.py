@@ -154,6 +154,19 @@ def test_release_lets_go_with_the_front_clamp_only_and_home_goes_home():
     motor.never_both_open()
 
 
+@pytest.mark.parametrize("target", [1e-3, -1e-3])
+@pytest.mark.parametrize("phase", at.PHASE_NAMES[2:8])
+def test_a_release_in_any_phase_of_a_step_relaxes_the_extender(phase, target):
+    motor = Motor()
+    motor.run(target, 0.3)
+    motor.run(target, until=lambda: motor.sequencer.phase == phase)
+    motor.sequencer.request(at.RELEASE_REQUEST)
+    motor.run(target, until=lambda: motor.sequencer.phase == "released")
+    assert motor.sequencer.reference == PARAMETERS.resting_extension
+    assert (motor.sequencer.front_voltage, motor.sequencer.rear_voltage) == (0.0, 100.0)
+    motor.never_both_open()
+
+
 def test_setpoints_outside_of_the_travel_are_refused_with_the_range_and_change_nothing():
     motor = Motor()
     assert "-5000 … 5000 µm" in motor.sequencer.refuse(6e-3)
