@@ -1226,7 +1226,7 @@ def scan_run(
     Parameters
     ----------
     source : path-like or Recording
-        The complete run of a stage.
+        The run of a stage, or a part of it. Between the samples only a simulated run from its first sample is known.
     first, last : float, optional
         Part of the run to evaluate [s]; by default all samples after the first period of the path, or after its first
         line if the run has fewer than two periods. Only samples in which all axes follow the scan are included, also
@@ -1258,7 +1258,7 @@ def scan_run(
     parameters, scan = found
     names, periods = parameters.scanning_axes, parameters.stage.scan.periods
     places = [parameters.names.index(name) for name in names]
-    if run.is_simulated:
+    if run.is_simulated and run.time[0] == 0.0:  # a part of a run does not begin at rest
         time, displacement = displacements_between(parameters, run)
         sample = np.minimum(((time - time[0]) * parameters.sample_rate + 1e-6).astype(int), len(run) - 1)
         moment = time + _delays_of_path(run, names, np.arange(len(run)) / parameters.sample_rate, parameters)[sample]

@@ -264,6 +264,9 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     figures = hr.report(run)
     assert figures["scan"] == scan_figures(judged) and {"x", "y"} <= figures.keys()
     assert hr.scan_run(run, 0.15).time[0] == pytest.approx(0.15)
+    # a part of a simulated run does not begin at rest: only its samples are known
+    part, same = hr.scan_run(run.between(0.13, 0.2), 0.0), hr.scan_run(run, 0.13, 0.2)
+    assert scan_figures(part)["rms_error_m"] == pytest.approx(scan_figures(same)["rms_error_m"], rel=0.05)
     # for a measured run only the samples are known: an error of 10 nm across the plane is found at the samples
     shifted = {f"{name}/displacement": run[f"{name}/reference"] - 10e-9 for name in "xy"}
     other = replace(run, signals=run.signals | shifted, metadata=run.metadata | {"source": "bag"})
