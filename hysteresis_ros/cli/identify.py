@@ -160,7 +160,8 @@ def identify(
 
         if (linear, options, inverse) != (None, (), None) or (model != "usual" and loops is None):
             raise click.UsageError(
-                "--model needs --loops for a stage; --linear, -p and --inverse are for a single axis"
+                "--model needs --loops for a stage; --linear, -p and --inverse are for a single axis, which is "
+                "identified from one recording"
             )
         if columns["input_unit"] or columns["output_unit"]:
             raise click.UsageError("--input-unit and --output-unit are for a single axis; give units as NAME:UNIT")

@@ -432,7 +432,11 @@ def learned_from(
     learning = CoupledLearning.of(parameters, request)
     trials = []
     for run in runs:
-        own = StageParameters.from_configuration(parse_configuration(run.metadata["configuration"], "the run"))
+        if not run.configuration:
+            raise RecordingError(
+                "a run has no configuration, so it is unknown which corrections it used: give a bag, .mcap or .npz"
+            )
+        own = StageParameters.from_configuration(parse_configuration(run.configuration, "the run"))
         trials.append(trial(parameters, run, applied(own)))
     return learning, learning.after(trials), trials
 

@@ -426,6 +426,9 @@ def test_all_axes_learn_together_from_recorded_runs(tmp_path):
     assert left[2] < 0.5 * left[0]
     words = ("design", files[0], "--learning", "coupled", "--run", runs[0])
     assert "would replace the corrections of the run" in hysteresis(*words, "-o", files[0], code=2)
+    hysteresis("export", runs[0], "-o", tmp_path / "run0.csv")
+    words = ("design", files[0], "--learning", "coupled", "--run", tmp_path / "run0.csv", "-o", files[1])
+    assert "no configuration, so it is unknown which corrections it used" in hysteresis(*words, code=2)
     words = ("design", files[0], "--learning", "inversion", "--run", runs[0], "-o", files[0])
     assert "--run belongs to --learning coupled" in hysteresis(*words, code=2)
     words = ("design", "kim2009", "--learning", "coupled", "--period", "0.2s", "-o", files[0])

@@ -184,6 +184,8 @@ def test_a_stop_that_nothing_confirms_says_whether_the_axis_is_silent(monkeypatc
         monkeypatch.setattr("hysteresis_ros.laboratory.watch.memory.SILENT", -1.0)
         said = await page.ask(do="stop")
         assert not said["ok"] and "the axis is silent: it is unknown whether it has stopped" in said["text"]
+        async with bench.session.post(f"{bench.origin}/stop", headers={"Origin": bench.origin}) as response:
+            assert response.status == 504 and "it is unknown whether it has stopped" in await response.text()
 
     served(check)
 

@@ -31,7 +31,7 @@ from hysteresis_ros.references.scan import (
     line_marks,
     pixel_marks,
 )
-from hysteresis_ros.references.scans import SCANS, rows_of, scan_of
+from hysteresis_ros.references.scans import SCANS, parsed_scan, rows_of, scan_of
 
 MICRO = 1e-6
 SHARED = dict(frame_rate=2.0, rotation=0.3, centre_x=50e-6, centre_y=40e-6)
@@ -533,3 +533,10 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     for snippet in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
         exec(compile(snippet, "docs/scans.md", "exec"), names)
     assert names["tones"].frequencies.size == 12 and (tmp_path / "scan.html").stat().st_size > 10_000
+
+
+def test_rates_that_contradict_each_other_are_refused():
+    words = ("width=10um", "depth=10um", "lines=4", "flyback=6", "line_rate=20Hz")
+    with pytest.raises(ParameterError, match=r"frame_rate = 1\.0: line_rate = 20 Hz gives 2 frames per second"):
+        parsed_scan("raster", (*words, "frame_rate=1Hz"))
+    assert parsed_scan("raster", (*words, "frame_rate=2Hz")).rate == 2.0

@@ -161,7 +161,10 @@ class Server:
         return web.FileResponse(FILES[request.path], headers=HEADERS)
 
     async def _stop_by_post(self, request: web.Request) -> web.Response:
-        return web.Response(text=f"{await self.stop()}\n", headers=HEADERS)
+        try:
+            return web.Response(text=f"{await self.stop()}\n", headers=HEADERS)
+        except HysteresisError as error:
+            return web.Response(status=504, text=f"hysteresis watch: {error}\n", headers=HEADERS)
 
     @contextlib.asynccontextmanager
     async def listening(self, bind: str, port: int, patience: float):

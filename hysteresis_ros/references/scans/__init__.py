@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -44,9 +45,14 @@ def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
     Raises
     ------
     ParameterError
-        The scan does not exist, or a parameter is unknown, missing or out of range.
+        The scan does not exist, or a parameter is unknown, missing or out of range, or two parameters contradict each
+        other.
     """
-    return shape_of(kind).parameters.from_mapping(values)
+    scan = shape_of(kind).parameters.from_mapping(values)
+    if values.get("line_rate") and "frame_rate" in values and not math.isclose(scan.frame_rate, scan.rate):
+        allowed = f"line_rate = {values['line_rate']:g} Hz gives {scan.rate:.6g} frames per second: omit one of them"
+        raise ParameterError([Problem("frame_rate", scan.frame_rate, allowed)])
+    return scan
 
 
 def shape_of(kind: str) -> ScanShape:
