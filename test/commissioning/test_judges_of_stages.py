@@ -243,6 +243,14 @@ def test_so_may_the_stroke(situation, factor):
             judge_hysteresis(situation, cycles)
 
 
+@pytest.mark.parametrize(("repeats", "proposed"), [(1, 20), (4, 40)])
+def test_readings_that_never_repeat_for_long_tell_when_a_sensor_sticks(situation, repeats, proposed):
+    quiet = recorded(np.zeros(2000))
+    held = replace(quiet, signals=quiet.signals | {"measured": np.repeat(quiet["measured"][::repeats], repeats)[:2000]})
+    [_, line] = judge_noise(situation, held).lines
+    assert f"at most {repeats} readings in a row are equal" in line and f"frozen_samples: {proposed}" in line
+
+
 @pytest.mark.parametrize("strokes", [-25.0, -15.0, 0.0, 15.0, 25.0])
 def test_a_zero_many_strokes_away_is_that_of_another_unit(situation, strokes):
     quiet = recorded(np.zeros(2000), zero=strokes * 1e-4)
@@ -540,12 +548,12 @@ def test_the_measured_margins_are_compared_with_those_of_the_model(situation, mo
     margins = SimpleNamespace(
         sensitivity_peak=2.0, gain_crossovers=[60.0], gain_margin=6.0, phase_margin=60.0, delay_margin_samples=3.0
     )
-    response = SimpleNamespace(loop=loop, margins=margins, model_loop=loop.loop, figures={})
+    response = SimpleNamespace(loop=loop, margins=margins, model_loop=loop.loop, figures={}, limitation="limited")
     monkeypatch.setattr(closed, "_measured_response", lambda *given: response)
     found = closed.judge_response(situation, recorded(np.zeros(100)))
     assert found.lines[0] == f"M_s {peak} ({peak} … {peak}), predicted 2: {words}"
     assert found.figures["as_predicted"] == (peak < 2.5)
-    assert [text.split(" ")[0] for text in found.lines[1:]] == ["gain", "gain", "phase", "delay"]
+    assert [text.split(" ")[0] for text in found.lines[1:]] == ["gain", "gain", "phase", "delay", "limited"]
     assert found.lines[1].endswith("; predicted 60 Hz") and found.lines[2].endswith("; predicted 6.0 dB")
     sensitivities, plane = found.pictures
     heights = [np.array(line.y) for line in sensitivities.lines]

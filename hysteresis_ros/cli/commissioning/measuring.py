@@ -135,6 +135,16 @@ def _name_unit(value: float, expected: float) -> str:
     return ""
 
 
+#: Ratio of a proposed ``frozen_samples`` to the longest repetition of a reading at rest, and its least value.
+STUCK, LEAST_STUCK = 10, 20
+
+
+def _most_equal(measured: np.ndarray) -> int:
+    """Return the largest number of equal readings in a row."""
+    changes = np.flatnonzero(np.diff(measured) != 0.0)
+    return int(np.max(np.diff([-1, *changes, len(measured) - 1])))
+
+
 def judge_noise(situation: Situation, recording: Recording) -> Outcome:
     """Check the sensor at rest: noise, drift, zero."""
     time, measured = recording.time - recording.time[0], recording["measured"]
@@ -157,6 +167,12 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
     ]
     if noise == 0.0:
         lines.append("all readings are equal: noise below the resolution, or a sensor that does not measure the stage")
+    elif not situation.axis.motion_controller.frozen_samples:
+        equal = _most_equal(measured)
+        lines.append(
+            f"a sensor that sticks at a value is not detected; at most {equal} readings in a row are equal here, so "
+            f"motion_controller may have frozen_samples: {max(STUCK * equal, LEAST_STUCK)}"
+        )
     picture = Picture(
         "Sensor at rest", "time [s]", "measured − mean [nm]", [line("measured", time, 1e9 * (measured - zero))]
     )
