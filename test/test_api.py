@@ -217,6 +217,7 @@ def test_a_run_has_its_signals_by_name(run):
         np.testing.assert_array_equal(same.voltage, run.voltage)
 
 
+@pytest.mark.slow
 def test_a_run_as_dataframe(run):
     pytest.importorskip("pandas", reason="pandas is optional")
     table = run.to_dataframe()

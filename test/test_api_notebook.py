@@ -44,6 +44,7 @@ def test_a_model_is_validated_without_a_file_between(found, data, tmp_path):
     assert hr.validate(hr.load(tmp_path / "axis.yaml"), data).figures == written.figures
 
 
+@pytest.mark.slow
 def test_a_score_is_what_validate_returns(found, data):
     scored = found.score(data)
     assert type(scored) is hr.Compared

@@ -141,6 +141,7 @@ def test_what_compiled_code_names_is_compiled_once_and_not_for_python(monkeypatc
     assert scaled(np.array([2.0, 3.0]), 1, 5.0) == 15.0 and scaled.signatures
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is compiled")
 def test_a_numba_that_copies_no_functions_compiles_the_levels_between(monkeypatch):
     expected = lag_result(interpreted)

@@ -36,6 +36,7 @@ def close(found, expected, relative=1e-10) -> bool:
     )
 
 
+@pytest.mark.slow
 @given(A=square(), vector=st.randoms(use_true_random=False))
 def test_products_are_those_of_matmul_in_every_shape(A, vector):
     v = np.array([vector.uniform(-1.0, 1.0) for _ in A])
@@ -57,6 +58,7 @@ def test_a_sum_runs_in_the_order_of_its_index():
     assert la.product([-1.0, factor], [factor * factor, factor]) == 0.0
 
 
+@pytest.mark.slow
 @given(A=square())
 def test_solutions_are_those_of_scipy(A):
     assume(np.linalg.cond(A) < 1e4)
@@ -66,6 +68,7 @@ def test_solutions_are_those_of_scipy(A):
     assert close(la.inverse(A), scipy.linalg.inv(A))
 
 
+@pytest.mark.slow
 @given(A=square())
 def test_exponentials_are_those_of_scipy(A):
     assert close(la.exponential(A), scipy.linalg.expm(A))

@@ -123,6 +123,7 @@ def test_its_parameters_come_back_from_yaml_as_they_were(law):
     assert parameters.type == law.name and round_trip(parameters, ControllerParameters) == parameters
 
 
+@pytest.mark.slow
 @laws
 def test_its_block_keeps_the_contract_of_controllers(law):
     block = controller_block(example(law), T)

@@ -58,6 +58,7 @@ def scan(seconds_: float = 1.0, start: float = 0.0, noise: float = 0.0):
     return Recording.from_columns(columns)
 
 
+@pytest.mark.slow
 def test_the_jump_into_a_scan_does_not_count_and_is_said():
     figures = compute_metrics(scan(start=1e-9))
     assert figures["rms_error_m"] == pytest.approx(RIPPLE, rel=1e-3)
@@ -170,6 +171,7 @@ def test_a_page_says_what_when_and_with_which_version(tmp_path, monkeypatch):
         assert refused.exit_code == 2 and len(refused.output.splitlines()) == 1, refused.output
 
 
+@pytest.mark.slow
 def test_a_bag_with_a_raw_file_is_an_axis_and_a_folder_names_its_bags(tmp_path):
     """A section for each node, including the sequencer, does not make an actuator's axis an inchworm."""
     for name in ("left", "right"):
@@ -203,6 +205,7 @@ def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatc
 KINDS = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected", "mode"),
     [

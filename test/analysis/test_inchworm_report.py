@@ -294,6 +294,7 @@ def test_the_command_writes_page_and_figures(simulated, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_runs_of_motors_stand_side_by_side(tmp_path):
     one, other = walk().recording(), walk(steps=3, moved=7.0e-6).recording()
     paths = [tmp_path / "one.npz", tmp_path / "other.npz"]

@@ -29,6 +29,7 @@ def tables(draw):
     return draw(arrays(float, (rows, bins * length), elements=VALUES)), length
 
 
+@pytest.mark.slow
 @given(tables())
 def test_each_bin_keeps_its_least_and_greatest_value_in_their_order(given_table):
     table, length = given_table
@@ -44,6 +45,7 @@ def test_each_bin_keeps_its_least_and_greatest_value_in_their_order(given_table)
             assert places[0].min() <= places[1].max()
 
 
+@pytest.mark.slow
 @given(tables())
 def test_a_curve_keeps_the_extremes_of_all_its_signals_and_their_pairs(given_table):
     table, length = given_table
@@ -55,6 +57,7 @@ def test_a_curve_keeps_the_extremes_of_all_its_signals_and_their_pairs(given_tab
         assert np.array_equal(points.max(axis=1), table.max(axis=1))
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 40), max_size=30), st.integers(2, 25))
 def test_the_last_samples_are_there_whatever_came_in_how_many_pieces(counts, kept):
     history = History(2, kept)

@@ -111,6 +111,7 @@ def test_the_worst_of_several_steps_counts():
     assert figures["settling_time_s"] == pytest.approx(0.020)
 
 
+@pytest.mark.slow
 @given(gain=st.floats(1e-9, 1e3), offset=st.floats(-1.0, 1.0))
 def test_constant_error_has_itself_as_rms_and_maximum(gain, offset):
     time = np.linspace(0.0, 2.0, 101)

@@ -101,6 +101,7 @@ def test_thinned_columns_keep_every_extreme_near_its_place(size, points, seed):
                 assert np.all(np.isnan(shown))
 
 
+@pytest.mark.slow
 @given(size=st.integers(1, 2000), points=st.integers(5, 300), seed=st.integers(0, 20))
 def test_thinned_paths_keep_their_extremes_in_both_directions(size, points, seed):
     random = np.random.default_rng(seed)

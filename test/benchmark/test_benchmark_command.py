@@ -72,6 +72,7 @@ def test_wrong_input_is_refused_at_once(tmp_path, monkeypatch, words, told):
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_missing_files_are_named_with_their_source(tmp_path):
     """Of the user's manifest they are an error; of the shipped one they are left out, and said."""
     path = manifest(tmp_path, entry("0" * 64))

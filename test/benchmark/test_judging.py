@@ -223,6 +223,7 @@ def test_a_play_is_learned_with_either_sign():
     assert rows[0].error == pytest.approx(rows[1].error, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_synthetic_test_is_without_noise_and_of_another_input():
     """Equal seeds give equal plants; the truth is published; the test has no noise."""
     task, again, quiet = synthetic_task(1), synthetic_task(1), synthetic_task(1, noise=0.0)

@@ -151,6 +151,7 @@ def test_a_sensor_of_the_wrong_sign_ends_at_the_bound():
     np.testing.assert_allclose(history[-1], 0.8, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_without_excitation_nothing_moves_however_long():
     true, history, *_ = learned("prandtl_ishlinskii", 0.8)
     compensator, adaptation = made(given())

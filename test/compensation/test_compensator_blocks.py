@@ -34,6 +34,7 @@ def steps(block, inputs):
     return np.array([block.step(value) for value in inputs])
 
 
+@pytest.mark.slow
 @given(wanted=commands)
 def test_exact_inverse_before_the_same_stack_gives_the_command(wanted):
     block, plant = compensator(minimum=-60.0, maximum=200.0), PolynomialHysteresis(assumed_stack(), SAMPLE_TIME)

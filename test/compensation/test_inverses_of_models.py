@@ -89,6 +89,7 @@ def check_identity(block, inverse, wanted, tolerance=1e-9):
         assert block.step(voltage) == pytest.approx(displacement, abs=tolerance * STROKE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 @settings(max_examples=40)
 @given(drive=voltages)

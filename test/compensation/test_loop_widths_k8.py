@@ -78,6 +78,7 @@ def test_running_loop_without_inverse_is_as_wide():
     assert running_width("none") == pytest.approx(15.0, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_times_gain", [1.0, 1.12])
 @pytest.mark.parametrize("steps", [1, 3, 6])
 def test_running_compensator_closes_the_loop_further(steps, rate_times_gain):

@@ -73,6 +73,7 @@ def test_dc_gain_of_published_model(model):
     assert (C @ state).item() == pytest.approx(1.0, abs=1e-13)
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(stable_systems(), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
 def test_riccati_residual_vanishes_and_filter_is_stable(system, q, r):
@@ -88,6 +89,7 @@ def test_riccati_residual_vanishes_and_filter_is_stable(system, q, r):
     assert state_feedback.spectral_radius(A - np.outer(A @ gain, C)) < 1.0
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(stable_systems(), st.lists(st.floats(-0.95, 0.95), min_size=2, max_size=2), st.floats(-0.95, 0.95))
 def test_placed_poles_and_phi_are_the_poles_of_the_loop(system, poles, phi):
@@ -111,6 +113,7 @@ def test_complex_poles(parameters, model):
     assert sorted(poles, key=lambda z: (z.real, z.imag)) == pytest.approx([0.3 - 0.4j, 0.3 + 0.4j, 0.93])
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(stable_systems(), st.floats(1e-3, 1e3))
 def test_lq_hyperplane_slides_stably_whatever_the_input_weight(system, input_weight):

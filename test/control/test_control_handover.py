@@ -24,12 +24,14 @@ from hysteresis_ros.control.controller import Handover, HandoverParameters, arm
 finite = st.floats(-1e-3, 1e-3)
 
 
+@pytest.mark.slow
 def test_without_arming_it_is_a_wire():
     block = Handover(HandoverParameters(), 1e-3)
     u = np.linspace(-1e-5, 1e-5, 50)
     assert (block.simulate(u) == u).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(finite, finite)
 def test_armed_output_equals_the_last_one_exactly_and_fades_exponentially(before, after):

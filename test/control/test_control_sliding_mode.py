@@ -214,6 +214,7 @@ def test_retune_is_atomic_and_keeps_the_structure(controller, parameters):
     assert block.x[law.STARTED] == 0.0
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     st.sampled_from([{}, DISTURBED, INTEGRAL, {"type": "open_loop"}]),

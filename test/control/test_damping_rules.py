@@ -293,6 +293,7 @@ def test_plants_around_the_model_are_as_far_from_it_as_was_asked():
         np.testing.assert_allclose(np.sort(turns) / 700.0, [1 / (1 + part), 1.0, 1 / (1 - part)], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_loops_of_a_damping_are_cut_where_their_names_say():
     """1 - F P of the inner loop, 1 + C γ P/(1 - F P) of the law's loop, 1 + (γ C - F) P of both, on each plant."""
     control = replace(controller("irc"), type="pid", pid=PidParameters(Kp=0.1, Ki=200.0))

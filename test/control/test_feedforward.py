@@ -393,6 +393,7 @@ def test_modes_that_coincide_at_zero_cost_no_digits():
     assert commands_of(chosen, np.full(50, 3e-6)) == pytest.approx(np.full(50, 3e-6), rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(models(), st.integers(0, 30))
 def test_a_command_for_a_reference_at_rest_holds_it_at_any_preview(dynamics, more):

@@ -70,6 +70,7 @@ def test_q_sets_the_filter_and_offset_free_estimates_a_disturbance(parameters):
     assert (found.gain, found.disturbance, found.q / found.r) == ("riccati", "constant", 0.5)
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_filter_counts_in_units_of_that_of_the_measurement(parameters):
     """q is a ratio of variances; a search that makes all noises of the process larger is one of a better sensor."""
     quiet, loud = (parameters({"kalman.r": r}) for r in (1e-4, 4e-4))

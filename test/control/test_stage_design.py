@@ -102,6 +102,7 @@ def test_the_inverse_of_the_coupled_loop_follows_the_path_at_all_samples(structu
     assert np.max(np.abs(found)) < 2e-4 * np.max(np.abs(plain))
 
 
+@pytest.mark.slow
 def test_decoupling_each_axis_alone_leaves_the_coupling_between_them(tmp_path):
     """The inverse has cross terms; without them the error equals the cross-talk."""
     crossed = stage(
@@ -262,6 +263,7 @@ def test_the_slow_axis_of_a_raster_gets_a_slow_law_unless_a_bandwidth_is_request
     assert design_controllers(spiral, request, {}, "y")["y"].margins.bandwidth == first["y"].margins.bandwidth
 
 
+@pytest.mark.slow
 def test_a_file_states_once_what_the_other_loops_changed_in_the_designs():
     configuration = load_configuration("xy_scanner")
     parameters = StageParameters.from_configuration(configuration)

@@ -67,6 +67,7 @@ def moved(parameters: StageParameters) -> np.ndarray:
     return np.array([x - np.append(np.zeros(late), sine)[: len(sine)], y])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", [None, late_structure()], ids=["as it is", "zero outside"])
 def test_the_displacements_of_all_axes_follow_without_coupling(structure):
     parameters = stage(structure=structure, **OPEN)
@@ -92,6 +93,7 @@ def test_a_zero_outside_the_unit_circle_needs_preview():
     assert left[0] > 5.0 * left[1] and left[1] > 1.2 * left[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 1])
 def test_the_preview_is_that_of_the_axis_that_needs_most(late):
     """The model of one axis contains four more samples of delay."""
@@ -156,6 +158,7 @@ def test_a_stage_of_one_axis_gets_the_inverse_of_its_axis():
     assert found.parameters.axes[0].motion_controller.feedforward.type == "inverse_dynamics"
 
 
+@pytest.mark.slow
 def test_what_a_stage_cannot_invert_is_refused():
     smc = stage(motion_controller={"type": "sliding_mode"})
     with pytest.raises(

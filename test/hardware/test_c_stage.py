@@ -114,6 +114,7 @@ def test_a_fused_axis_runs_it_against_the_clock_and_its_twin_is_the_same_bit_for
         axis.plant.close()
 
 
+@pytest.mark.slow
 def test_two_masters_are_refused_and_the_first_goes_on():
     with running_stage(*PATIENT) as stage:
         first = opened(stage.name)
@@ -171,6 +172,7 @@ def test_a_stage_that_dies_stands_still_or_answers_nonsense_stops_the_axis(numbe
         axis.plant.close()
 
 
+@pytest.mark.slow
 def test_after_nonsense_the_axis_goes_on_when_it_is_started():
     with running_stage(*PATIENT) as stage:
         axis, _ = fail_fused(stage, signal.SIGUSR1)

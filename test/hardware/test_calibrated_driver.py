@@ -93,6 +93,7 @@ def run(plant, voltages) -> np.ndarray:
     return rows_of(plant, CompiledPlant.kernels[:1], voltages)
 
 
+@pytest.mark.slow
 def test_fused_and_in_python_it_is_told_and_understood_by_the_same_formula(library):
     given = axis_parameters(library)
     loop = FusedLoop(Axis(given, fused_plant_of(given.plant_simulator)), math.inf, 3000)

@@ -97,6 +97,7 @@ def parameters(library, *options: str, **changes):
     return axis_parameters(library, *options, **changes).plant_simulator
 
 
+@pytest.mark.slow
 def test_machine_code_and_python_drive_it_alike(library):
     k = np.arange(4000)
     voltages = 45.0 + 70.0 * np.sin(k / 40.0) + np.random.default_rng(2).normal(scale=3.0, size=k.size)

@@ -64,6 +64,7 @@ def test_whatever_comes_is_answered_or_an_error_and_the_next_question_is_answere
     assert shared.ask("POS? 1").startswith("1=")
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(cuts=st.lists(st.integers(0, 60), max_size=6))
 def test_how_the_bytes_are_cut_into_packets_does_not_matter(cuts):

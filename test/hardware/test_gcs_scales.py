@@ -75,6 +75,7 @@ def test_an_axis_that_was_never_referenced_is_refused_before_anything_is_command
         assert not sent(controller).size
 
 
+@pytest.mark.slow
 def test_a_voltage_below_what_is_commanded_is_refused_as_one_above_is(controller):
     """An output lowered by another program moves the stage as far as one raised by another program."""
     for other in ("SVA 1 20", "SVA 1 80"):

@@ -58,6 +58,7 @@ def test_with_few_averages_the_band_is_as_much_wider_as_its_own_variance_is_unce
     assert inside == pytest.approx(probability, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("periods", [2, 3])
 def test_of_two_periods_the_band_has_the_one_degree_of_freedom_of_their_difference(periods):
     random = np.random.default_rng(7)

@@ -332,6 +332,7 @@ def test_one_structure_serves_all_levels_better_than_linear_dynamics(found_of_th
     np.testing.assert_allclose(found.figures["noise_m"], 2e-8 / np.sqrt(2.0) * np.sqrt(2 * 200 / PERIOD), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_saved_structure_is_read_back_with_the_same_numbers(found_of_the_whole, tmp_path):
     _, found, _ = found_of_the_whole
     found.save(tmp_path / "structure.yaml")

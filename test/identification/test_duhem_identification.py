@@ -82,6 +82,7 @@ def test_training_is_repeatable():
     assert a == b
 
 
+@pytest.mark.slow
 def test_units_do_not_matter():
     v = np.concatenate([MAJOR, decaying()[0]])
     y = truth(v)
@@ -144,6 +145,7 @@ def test_frequencies_coincide_after_preparation():
         prepare_loops([recordings[0], (0.5 * recordings[1][0], recordings[1][1])], 1e-3)
 
 
+@pytest.mark.slow
 def test_hammerstein_beats_the_linear_model():
     """W5: sines at three frequencies through the truth and a second-order part (assumption)."""
     part = LinearParameters(A=(1.72, -0.735, 1.0, 0.0), B=(1.0, 0.0), C=(0.01, 0.005))

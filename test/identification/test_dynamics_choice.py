@@ -167,6 +167,7 @@ def test_a_mode_that_a_sweep_passes_at_its_end_is_found_in_the_samples(outliers)
     assert found.damping == pytest.approx(0.02, rel=0.02) and found.frequency == pytest.approx(190.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_recording_without_any_error_has_nothing_to_refine():
     part = LinearPart(lag=1e-3, modes=in_series(1e-3, [(280.0, 0.03)]), hold=1.0 / RATE)
     given = np.random.default_rng(0).standard_normal(4000)

@@ -243,6 +243,7 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
         plan_of_recording(noise, 1.0 / RATE, kind="stepped")
 
 
+@pytest.mark.slow
 def test_segments_too_short_for_a_resonance_say_so():
     sharp = 2.0 * np.pi * 60.0 * np.array([-0.01 + 1j, -0.01 - 1j])
     over, under = scipy.signal.bilinear(*scipy.signal.zpk2tf([], sharp, abs(sharp[0]) ** 2), RATE)

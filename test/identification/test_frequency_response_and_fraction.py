@@ -109,6 +109,7 @@ def test_welch_tells_its_own_uncertainty():
     assert fit.model.modes[0].frequency == pytest.approx(635.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_coherence_is_the_share_explained():
     random = np.random.default_rng(2)
     u, e = random.standard_normal((2, 200000))

@@ -66,6 +66,7 @@ def test_thresholds_that_grow_with_the_rate_are_found_and_predict_another_speed(
     assert fit.numbers["held_out_rmse_m"] < 7e-9
 
 
+@pytest.mark.slow
 def test_envelopes_are_found_where_they_are():
     fit = fit_generalised_play(VOLTAGE, recorded(ENVELOPES), T, linear=())
     found = fit.hysteresis.chosen

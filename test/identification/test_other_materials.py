@@ -154,6 +154,7 @@ def test_other_loops_are_no_butterflies_and_fall_only_when_turned_over(material)
         identify(replace(data, output=-data.output), "auto")
 
 
+@pytest.mark.slow
 def test_the_summary_says_units_direction_saturation_repetition_and_content():
     data = shape_memory(decaying(1500, 20.0, 110.0))
     assert line(data, "input") == "temperature: 20 degC … 109.9 degC"
@@ -202,6 +203,7 @@ def test_the_direction_of_an_output_is_that_of_its_slow_movement_in_noise_and_be
     assert sum(alone) < 16
 
 
+@pytest.mark.slow
 def test_an_amplifier_that_saturates_below_the_end_of_the_range_is_noticed():
     voltage = decaying(4000, 0.0, 100.0)
     data = replace(bender(np.minimum(voltage, 80.0), clip=None), input=voltage)
@@ -268,6 +270,7 @@ def test_data_become_coarser_without_losing_what_is_left_out():
     assert coarser(data, 3000) is data
 
 
+@pytest.mark.slow
 def test_units_of_input_and_output_are_kept_to_the_end(tmp_path):
     data = brake(decaying(1000, -1.0, 1.0))
     table = np.column_stack([data.time, 1e3 * data.input, data.output])

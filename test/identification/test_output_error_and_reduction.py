@@ -125,6 +125,7 @@ def test_slow_and_fast_systems_are_found_alike_from_a_rich_input(scale):
     )
 
 
+@pytest.mark.slow
 def test_unknown_start_and_offset_are_estimated():
     u = square()
     y = simulate_transfer_function(*G2, np.r_[np.full(130, 150.0), u], STEP)[130:] + 7.0
@@ -135,6 +136,7 @@ def test_unknown_start_and_offset_are_estimated():
     assert wrong.fit_percent < 95.0
 
 
+@pytest.mark.slow
 def test_non_minimum_phase_and_negative_gain_are_warned_of():
     u = np.repeat(np.random.default_rng(4).standard_normal(80), 5)
     y = simulate_transfer_function([-1.0, 5.0], [1.0, 2.0, 5.0], u, 0.05)

@@ -82,6 +82,7 @@ def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     assert half.fit_for_feedback and half.certain < 0.5 * half.believed
 
 
+@pytest.mark.slow
 def test_outliers_cost_samples_and_not_the_response():
     slow = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(8000) * STEP)
     clean, exact = (recording(MODE, slow + 0.02 * multisine(8000), noise) for noise in (2e-9, 0.0))
@@ -122,6 +123,7 @@ def test_a_light_mode_within_the_known_range_limits_the_loop(damping, share):
     assert not stable(part, found.believed) and stable(part, found.certain) and found.certain > 1.0
 
 
+@pytest.mark.slow
 def test_a_mode_of_the_model_that_the_steps_of_a_converter_excite_is_no_missing_resonance():
     """A slow recording has no content at the mode, so nearly all motion there is that of the 80 mV steps."""
     part = LinearPart(modes=(Mode(280.0, 0.01),), hold=STEP)
@@ -146,6 +148,7 @@ def test_the_certain_crossover_shrinks_with_the_uncertainty():
     assert 0.5 <= peak.nominal < 0.56
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, 0.5])
 def test_slow_movement_from_elsewhere_counts_by_its_mean_square(share):
     """Noise of 10 … 30 Hz beside the response to a multisine up to 800 Hz, which moves a hundred times as fast."""

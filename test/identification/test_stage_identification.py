@@ -271,6 +271,7 @@ def test_a_stage_without_dynamics_gets_controllers_for_its_delay(noise):
     assert not any("no controller" in text for text in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late", "size"), [(1, 0.0), (4, 0.0), (0, 0.0), (1, 0.02), (4, 0.02)])
 def test_the_model_of_an_axis_is_a_delay_only_where_nothing_else_is_left(late, size):
     """A resonance at 3 kHz with 2 % of the gain at rest is no delay, and a loop has one sample of delay at least."""
@@ -411,6 +412,7 @@ def test_a_gain_that_the_loops_do_not_show_is_borne_by_the_design(few_plays, tim
     assert sum("times the gain of the file" in text for text in found.warnings) == 2 * (times > 1.0)
 
 
+@pytest.mark.slow
 def test_noise_is_told_from_the_response(linear):
     figures = linear[0].figures
     for name in "xy":

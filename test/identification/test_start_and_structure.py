@@ -402,6 +402,7 @@ def test_the_advice_for_small_loops_depends_on_those_of_the_recording(sizes, adv
     assert advice in text
 
 
+@pytest.mark.slow
 def test_the_ambiguity_of_a_rate_dependent_model_holds_at_the_speed_of_the_recording():
     """The same loops of 1 Hz, sampled at 200 Hz and ten times as fast."""
     plays = GeneralisedPlayParameters(
@@ -462,6 +463,7 @@ def bursts(*heights):
     return np.concatenate([np.zeros(100), *(height * one for height in heights)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_virgin_curve_of_polynomials_comes_from_the_first_rise(seed):
     v = bursts(100, 100, 80, 60, 40)

@@ -54,6 +54,7 @@ def test_skipped_samples_and_a_free_offset_are_left_out_of_the_error():
     assert "rmse_V" in volts and volts["offset_V"] == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("confidence", [0.95, 0.99, 0.999])
 def test_white_residuals_leave_the_bounds_as_often_as_promised(confidence):
     tests = [residual_autocorrelation(RANDOM(seed).standard_normal(1000), 25, confidence) for seed in range(400)]
@@ -63,6 +64,7 @@ def test_white_residuals_leave_the_bounds_as_often_as_promised(confidence):
     assert np.mean([test.probability < 0.05 for test in tests]) == pytest.approx(0.05, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poles", [(0.0, 0.0), (0.9, 0.0), (0.9, 0.7)])
 def test_independent_coloured_signals_leave_the_bounds_as_often_as_promised(poles):
     outside = []

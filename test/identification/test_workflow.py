@@ -69,6 +69,7 @@ def test_a_free_constant_is_kept_out_of_the_file():
     assert free.validation.offset == pytest.approx(kept.plant.offset, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_fit_that_does_not_converge_gives_its_best_point_and_the_reason():
     found = identify(loops(), "bouc_wen", linear="none", options={"iterations": 4})
     assert not found.converged and "did not converge" in found.reason and found.warnings[0] == found.reason
@@ -107,6 +108,7 @@ def test_columns_are_guessed_by_name_and_it_is_said(tmp_path):
     assert read_data(path, replace(volts, output_unit="V")).data.output_unit == "V"
 
 
+@pytest.mark.slow
 def test_the_file_says_for_which_sample_time_its_dynamics_are():
     time = np.arange(2000) / 500.0
     voltage = 2.0 - 2.0 * np.cos(2 * np.pi * time)
@@ -119,6 +121,7 @@ def test_the_file_says_for_which_sample_time_its_dynamics_are():
         assert section["sample_rate"] == pytest.approx(500.0)
 
 
+@pytest.mark.slow
 def test_validation_leaves_out_the_start_as_identification_does(tmp_path):
     found = identify(loops(), "proportional", linear="none")
     found.save(tmp_path / "axis.yaml")

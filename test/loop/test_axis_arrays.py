@@ -163,6 +163,7 @@ def test_a_step_gives_the_voltages_of_its_sample(alone):
     assert not np.array_equal(array["voltage"], kept)
 
 
+@pytest.mark.slow
 def test_an_axis_of_a_run_is_the_recording_of_that_axis():
     offsets = [0.0, 2e-8, -1e-8]
     # an amplifier with a smaller range than the compensator: the actuator receives a different voltage

@@ -60,6 +60,7 @@ def test_the_integral_removes_what_the_inverse_does_not_know():
     assert errors["open_loop"] > 0.3e-6 and errors["pid"] < 0.01e-6
 
 
+@pytest.mark.slow
 def test_without_an_edge_the_axis_goes_to_its_safe_command():
     made = axis(bright=45.0, dark=40.0).run(np.zeros(60))
     assert np.isnan(made["measured"]).all()
@@ -72,6 +73,7 @@ def test_without_an_edge_the_axis_goes_to_its_safe_command():
     assert made["controller_mode"][-1] == STALE and made["command"][-1] == 0.0
 
 
+@pytest.mark.slow
 def test_runs_go_on_copies_are_of_their_own_and_a_reset_begins_again():
     whole = axis().run(np.zeros(40))
     parted = axis()

@@ -202,6 +202,7 @@ def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay, feeds):
     assert_same_bits(expected, coupled.run(coupled.default_setpoints(samples))["x"])
 
 
+@pytest.mark.slow
 def test_three_axes_that_do_not_couple_are_the_axes_that_they_are_alone():
     A, B = modes((700.0,), (0.01,))
     dynamics = {"A": tuple(A.ravel()), "B": tuple(B.ravel()), "C": (1.0, 0.0), "input_scale": 1.0}
@@ -539,6 +540,7 @@ def test_setpoints_go_by_the_names_of_all_axes():
         one.run({"x": np.zeros(5), "y": np.zeros(6)})
 
 
+@pytest.mark.slow
 def test_decoupling_takes_most_of_the_coupling_error_away_and_noise_is_none():
     with_, without = (
         StageParameters.from_configuration(configured(stage=values)) for values in ({}, {"decoupling": []})

@@ -214,6 +214,7 @@ def test_every_fault_does_what_its_description_says(name):
     CASES[name](name)
 
 
+@pytest.mark.slow
 def test_a_sequencer_and_a_controller_miss_the_same_measurements():
     made = axis("inchworm_travel")
     made.inject(("drop:0:0.05:0.5",))

@@ -96,6 +96,7 @@ def test_a_trajectory_is_followed_before_the_move_after_it(model):
     assert math.isfinite(predictor.predict(12e-6, LENGTH, TOLERANCE, DWELL, QUIET))
 
 
+@pytest.mark.slow
 def test_moves_and_trajectories_that_interrupt_each_other_are_those_of_the_axis(model):
     path = {"times": (0.01, 0.02), "positions": (3e-6, 8e-6), "velocities": (2e-4, 0.0), "accelerations": ()}
     # the third one repeats the given setpoint, so the axis stays where the trajectory has brought it

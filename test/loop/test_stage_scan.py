@@ -135,6 +135,7 @@ def slow_loop(frame_rate: float, **overrides) -> StageParameters:
     return following("lissajous", values, motion_controller=gains | overrides)
 
 
+@pytest.mark.slow
 def test_a_scan_beyond_the_bandwidth_of_the_loop_is_warned_of_with_the_frame_rate_that_would_do():
     parameters = slow_loop(4.0)
     np.testing.assert_allclose(loop_bandwidths(parameters), 20.0 / (2.0 * np.pi), rtol=0.02)
@@ -174,6 +175,7 @@ def test_a_scan_beyond_what_actuators_and_samples_can_do_is_refused():
     check_scan(following("lissajous", (*values[:3], values[3].format(rate)), reference_generator=limits))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("middle", "centre"), [(14.0, 6.0), (20.0, 0.0), (26.0, -6.0)])
 def test_a_slow_scan_is_refused_exactly_when_its_commands_leave_the_range(middle, centre):
     """Setpoint and path are ±8 µm about 20 µm; what 4 % of cross-talk takes from it is more where the other is far."""

@@ -162,6 +162,7 @@ def test_pulses_step_the_setpoint_within_the_range_until_a_setpoint_comes(name):
         )
 
 
+@pytest.mark.slow
 def test_a_motor_triggers_where_its_slider_passes():
     own = {"triggers__start": 1e-6, "triggers__step": 1e-6, "triggers__stop": 3e-6, "triggers__direction": "up"}
     given = triggering(

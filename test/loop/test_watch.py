@@ -122,6 +122,7 @@ def test_a_frozen_sensor_goes_stale_and_stays_so_while_it_is_frozen():
     np.testing.assert_array_equal(np.flatnonzero(stale), range(8, 20))
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.one_of(finite, st.sampled_from([NAN, INF, -INF])), min_size=1, max_size=60),
     st.integers(1, 8),
@@ -269,6 +270,7 @@ def test_below_the_least_voltage_it_waits_and_slews_down_when_it_may():
 voltage = st.one_of(finite, st.just(NAN))
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(voltage, st.booleans()), min_size=1, max_size=60),
     st.integers(1, 6),

@@ -62,6 +62,7 @@ def test_loops_that_are_not_monotone_are_told():
         BoucWenHysteresis(BoucWenParameters(d_e=0.1e-6, alpha=0.1e-6, beta=0.01, gamma=0.0), 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("exponent", "points", "tolerance"),
     [(1.0, 1, 1e-13), (1.5, 1, 1e-6), (1.5, 300, 1e-8), (2.0, 1, 1e-8), (3.0, 300, 1e-9)],

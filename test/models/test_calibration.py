@@ -84,6 +84,7 @@ def test_readings_beyond_the_range_are_no_measurements_and_are_named():
     assert math.isnan(block.step(math.nan)) and not block.complaint
 
 
+@pytest.mark.slow
 @given(st.floats(1000.0, 60000.0), st.floats(1000.0, 60000.0))
 def test_a_relative_sensor_counts_from_the_mean_of_the_readings_at_home(start, later):
     block, absolute = sensor(reference="relative", home=3e-6, homing_samples=2), sensor()

@@ -71,6 +71,7 @@ def test_stiff_contacts_do_what_rigid_ones_do():
     assert stiff.x[friction.DISSIPATED] == pytest.approx(rigid.x[friction.DISSIPATED], rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [1.0, -2.5])
 @pytest.mark.parametrize("side", ["front", "rear"])
 def test_a_contact_gives_way_by_its_compliance_and_comes_back(side, load):

@@ -65,6 +65,7 @@ def test_the_force_is_what_moves_the_mass():
     assert np.max(np.abs(moved - acting)) < 2e-5 * np.max(np.abs(force))
 
 
+@pytest.mark.slow
 def test_at_rest_it_is_that_of_the_flexure_and_the_zeros_lie_below_the_poles():
     y, force = followed(actuator(), np.full(20_000, 10.0))
     assert y[-1] == pytest.approx(10.0 * GAIN, rel=1e-9)

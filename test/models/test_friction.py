@@ -40,6 +40,7 @@ def slider(front=(0.0, 0.0), rear=(0.0, 0.0), velocity=0.0, stuck=False, step=ST
     return made
 
 
+@pytest.mark.slow
 def test_free_fall():
     """Without a closed clamp the slider falls: q_n = a h² n (n + 1)/2, the implicit sum of a t²/2."""
     falling = slider(external_force=-2.0)
@@ -149,6 +150,7 @@ LIMIT = st.sampled_from([0.0, 0.0, 0.5, 4.0]) | st.floats(0.0, 20.0, **finite)
 SAMPLE = st.tuples(st.floats(-2e-5, 2e-5, **finite), LIMIT, LIMIT)
 
 
+@pytest.mark.slow
 @given(
     st.lists(SAMPLE, min_size=1, max_size=30),
     st.floats(-10.0, 10.0, **finite),

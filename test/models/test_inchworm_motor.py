@@ -193,6 +193,7 @@ def short_motor(load):
     return Inchworm(motor(load, slider=dict(minimum=-1e-4, maximum=1e-4)), STEP)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(VOLTS, VOLTS, VOLTS, st.integers(1, 40)), min_size=1, max_size=8),
     st.sampled_from([-12.0, -2.0, 0.0, 7.0]),

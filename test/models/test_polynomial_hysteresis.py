@@ -83,6 +83,7 @@ def test_output_is_continuous_at_every_reversal_for_any_coefficients(turns):
     check_continuity(p, turns)
 
 
+@pytest.mark.slow
 @given(p=coefficients, turns=voltages)
 @settings(max_examples=50)
 def test_output_is_continuous_for_coefficients_that_fit_nothing(p, turns):
@@ -103,6 +104,7 @@ def check_continuity(p, turns):
         block.step(voltage)
 
 
+@pytest.mark.slow
 @given(turns=voltages)
 def test_output_is_continuous_along_a_whole_path(turns):
     """A step of 0.1 V moves a stack of 0.1 µm/V by at most 2.5 times 0.1 V times that gain."""
@@ -114,6 +116,7 @@ def test_output_is_continuous_along_a_whole_path(turns):
     assert steps.max(initial=0.0) <= 2.5 * 0.1 * 0.1025e-6 * 1.01
 
 
+@pytest.mark.slow
 @given(turns=voltages, parts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
 def test_rate_independent(turns, parts):
     """The output depends on the turning voltages only, not on the number of samples between them."""
@@ -146,6 +149,7 @@ def test_stack_at_rest_may_be_driven_negative_first():
     assert block.step(20.0) == pytest.approx(20.0 * 0.1025e-6, rel=1e-12)
 
 
+@pytest.mark.slow
 @given(inner=st.lists(st.floats(0.0, 90.0), min_size=2, max_size=2), at=st.floats(0.0, 1.0))
 def test_a_tiny_reversal_leads_back_onto_the_same_branch(inner, at):
     low, high = sorted(inner)
@@ -172,6 +176,7 @@ def test_inverse_of_forward_is_the_identity(turns, target):
     assert voltage == pytest.approx(target, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_inverse_beyond_a_parabola_is_its_extremum():
     curve = dataclasses.replace(assumed_stack(), virgin=(0.0, 0.2e-6, -0.8e-9), voltage_high=120.0)
     block = PolynomialHysteresis(curve, 1.0)
@@ -200,6 +205,7 @@ def test_nan_holds():
     assert polynomial_inverse(polynomial, np.zeros(1), scratch, block.p, block.x, float("nan")) == 50.0
 
 
+@pytest.mark.slow
 @given(turns=voltages, scale=st.floats(0.9, 1.1))
 def test_retune_is_bumpless_and_ends_on_the_new_curves(turns, scale):
     block = walked(turns)
@@ -215,6 +221,7 @@ def test_retune_is_bumpless_and_ends_on_the_new_curves(turns, scale):
         assert block.step(top) == pytest.approx(scale * 0.1025e-6 * top, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(turns=voltages, later=voltages)
 def test_state_restores_exactly(turns, later):
     block = walked(turns)

@@ -39,6 +39,7 @@ def saturated(block):
     return block
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(turns=st.lists(st.integers(0, 24), min_size=1, max_size=12))
 def test_map_of_a_play_model_gives_its_outputs(turns):

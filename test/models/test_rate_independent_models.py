@@ -63,6 +63,7 @@ def test_output_is_continuous_at_reversals(name, turns, side):
     assert abs(block.step(turns[-1] + side) - before) < 1e-6 * 0.3e-6
 
 
+@pytest.mark.slow
 @names
 @settings(max_examples=30)
 @given(turns=voltages, ahead=voltages)
@@ -84,6 +85,7 @@ def test_outputs_scale_with_the_parameters(name, turns, scale):
     np.testing.assert_allclose(scaled, scale * plain, rtol=1e-9, atol=1e-9 * scale * STROKE)
 
 
+@pytest.mark.slow
 @names
 @settings(max_examples=30)
 @given(turns=voltages, change=st.floats(0.9, 1.1))
@@ -128,6 +130,7 @@ def test_minor_loops_close_and_are_forgotten(name, turns, inner, ahead):
     np.testing.assert_allclose(around.simulate(ahead), straight.simulate(ahead), rtol=0.0, atol=1e-11 * STROKE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_RETURN_POINTS)
 @settings(max_examples=30)
 @given(turns=voltages, ahead=voltages)

@@ -145,6 +145,7 @@ def stream(request, tmp_path_factory):
     return (folder / "bag" / "bag.mcap").read_bytes(), ends
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(data=st.data())
 def test_a_file_cut_anywhere_gives_all_its_whole_chunks(stream, tmp_path_factory, data):
@@ -197,6 +198,7 @@ def test_a_chunk_of_any_size_that_did_not_get_smaller_by_packing_is_unpacked_as_
     assert most(10 * SMALL) < 1000 * 10 * SMALL, "a few bytes must not fill the memory"
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(data=st.data())
 def test_damage_inside_a_file_is_never_a_traceback(stream, tmp_path_factory, data):

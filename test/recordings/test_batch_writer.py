@@ -35,6 +35,7 @@ def decoded(path, topic):
     return [cdr.typestore().deserialize_cdr(data, type_name) for data in messages]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES)
 def test_every_topic_has_the_signals_of_the_table(tmp_path, axis):
     stamps, table, joints = samples = make_samples(axis, 60)
@@ -123,6 +124,7 @@ def test_batches_and_chunks_change_nothing(tmp_path_factory, whole, motor, cuts,
     assert whole[motor] == topics_of(folder / "cut")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES)
 def test_the_index_leads_to_every_message(tmp_path, axis):
     """Reading by the index, by time and topic, finds the same as reading the file in its order."""
@@ -236,6 +238,7 @@ def check_chunk(content: bytes, chunk):
     assert place == data + chunk.uncompressed_size and messages == found > 0
 
 
+@pytest.mark.slow
 def test_a_run_is_read_back_and_its_timing_comes_from_the_times(tmp_path):
     stamps, table, _ = make_samples(ACTUATOR, 3000)
     table[np.isnan(table)] = 0.0

@@ -31,6 +31,7 @@ def same_bits(a, b):
     return a.tobytes() == b.tobytes() or np.array_equal(a, b, equal_nan=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 @settings(max_examples=40)
 @given(voltage=FLOATS, displacement=FLOATS)
@@ -154,6 +155,7 @@ def test_an_unknown_signal_is_named_with_those_there_are():
     assert np.all(np.isnan(recording.run_columns()["displacement"]))
 
 
+@pytest.mark.slow
 def test_the_sample_time_holds_over_a_million_stamps_of_whole_nanoseconds():
     time = np.array([round(k * 1e9 / 3000.0) for k in range(1_000_000)]) / 1e9
     gaps = np.delete(time, [5, 6, 7, 400_000])

@@ -71,6 +71,7 @@ def test_the_open_loop_at_the_command_is_the_linear_part_and_at_the_voltage_the_
     assert levels["odd_db"] > through.figures.get("odd_db", -np.inf) + 20.0, "the inverse removes the distortion"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at, kind", [("reference", "multisine"), ("command", "multisine"), ("reference", "noise")])
 def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     experiment = SHORT if kind == "multisine" else Experiment("noise", duration=4.0, period=0.25)

@@ -125,6 +125,7 @@ def test_no_pid_is_unstable_on_them_at_other_rates(rate):
     assert any(radius(bold.parameters, plant, step) > 1.0 for _, plant in plants(step)), "the plants are too easy"
 
 
+@pytest.mark.slow
 def test_without_the_bound_the_same_controllers_are_unstable():
     for controller in ("pid", "offset_free"):
         bold = designed(controller)
@@ -325,6 +326,7 @@ def test_the_rolled_off_loop_is_stable_on_every_resonance_even_a_sample_late(rol
     assert any(radius(plain.parameters, plant) > 1.0 for _, plant in unseen_plants(late)), "the plants are too easy"
 
 
+@pytest.mark.slow
 def test_the_rolled_off_loop_stays_bounded_in_the_time_domain(rolled):
     late = largest_late(rolled.parameters, [plant for _, plant in unseen_plants(1.0)])
     assert max(late) < 2.0, late
@@ -345,6 +347,7 @@ def test_a_gain_of_small_loops_that_may_be_higher_keeps_the_margins():
     assert "up to 100 % higher; M_s there" in "".join(design_lines(found))
 
 
+@pytest.mark.slow
 def test_loops_on_modes_that_were_not_seen_stay_bounded(designs):
     for name, design in designs.items():
         if design is not None:

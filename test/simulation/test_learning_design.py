@@ -74,6 +74,7 @@ def test_a_damping_by_force_is_part_of_the_closed_loop():
     np.testing.assert_allclose(found[1::97], exact, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_mode_that_may_be_an_alias_belongs_to_the_possible_plants():
     node = single_axis(stage(type="open_loop")).motion_controller
     radius, angle = 0.95, 2.0 * np.pi * 67.0 / 200.0
@@ -89,6 +90,7 @@ def test_a_mode_that_may_be_an_alias_belongs_to_the_possible_plants():
     assert np.ptp(peaks[len(without) :]) > 19.0 > 12.0 > np.ptp(peaks[: len(without)])
 
 
+@pytest.mark.slow
 def test_a_static_feedforward_is_part_of_the_closed_loop():
     node = single_axis(stage(type="open_loop")).motion_controller
     fed = single_axis(stage(type="open_loop", **{"feedforward.type": "static"})).motion_controller
@@ -127,6 +129,7 @@ def left(axis, parameters, period):
     return float(np.std((run["reference"] - run["displacement"])[-4 * period :]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["inversion", "norm_optimal"])
 def test_the_error_that_a_bandwidth_leaves_is_predicted(kind):
     axis, period = noisy("triangle", 5.0, 2e-7), 40
@@ -136,6 +139,7 @@ def test_the_error_that_a_bandwidth_leaves_is_predicted(kind):
         assert predicted == pytest.approx(left(axis, found.parameters, period), rel=0.08), bandwidth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("waveform", "frequency", "gain"), [("sine", 1.0, 2.0), ("triangle", 5.0, 0.98)])
 def test_noise_lowers_the_bandwidth_as_far_as_the_reference_permits(waveform, frequency, gain):
     axis, silent = (noisy(waveform, frequency, noise) for noise in (2e-8, 0.0))
@@ -147,6 +151,7 @@ def test_noise_lowers_the_bandwidth_as_far_as_the_reference_permits(waveform, fr
     assert ("noise would add more" in lines) == (found.filters.bandwidth < highest.filters.bandwidth)
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_where_the_response_is_known_to_less_than_half():
     """Contraction on all plants of an error of 60 % would be slow at best, and none is left for other changes."""
     axis = noisy("triangle", 5.0, 0.0)
@@ -165,6 +170,7 @@ def test_the_noise_that_an_identification_found_counts_unless_the_sensor_has_its
     assert with_known_noise(axis, configuration) is axis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", [{"waveform.type": "hold"}, {"waveform.frequency": 0.7}])
 def test_a_reference_that_rests_or_has_another_period_predicts_nothing(reference):
     configuration = load_configuration("picma_stage").override("plant_simulator", sensor__noise=2e-8)
@@ -175,6 +181,7 @@ def test_a_reference_that_rests_or_has_another_period_predicts_nothing(reference
     assert "noise is weighed only for waveforms sine, triangle, square of 1 s in the file" in lines
 
 
+@pytest.mark.slow
 def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_command():
     for name in ("stage700", "picma_stage"):
         axis = single_axis(load_configuration(name))
@@ -183,6 +190,7 @@ def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_comman
         assert 0.0 < given.late_recovery <= given.recovery, name
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_measured_response_does_not_prolong_the_pauses_of_learning():
     axis, request = single_axis(stage()), LearningRequest("inversion", period=0.2, bandwidth=20.0, possible=NEAR)
     random = np.random.default_rng(1)

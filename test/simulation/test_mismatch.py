@@ -51,6 +51,7 @@ def test_a_seed_names_a_plant_and_the_models_stay():
     assert first.motion_controller == configured.motion_controller
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), mismatch=st.floats(0.0, 0.2))
 def test_factors_stay_within_their_bounds(seed, mismatch):

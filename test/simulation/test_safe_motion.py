@@ -102,6 +102,7 @@ def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_sta
     assert 0.0 < largest <= allowed + 1e-9 + 2.0 * quantum(configuration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COUPLED)
 def test_the_largest_step_of_a_shipped_stage_is_within_what_its_file_states(name):
     configuration = load_configuration(name)
@@ -168,6 +169,7 @@ def test_a_motor_that_walks_keeps_what_its_file_states_extender_and_clamps(name)
     assert len(said) == 1 and 0.0 < max(largest["front_voltage"], largest["rear_voltage"]) <= said.pop()
 
 
+@pytest.mark.slow
 def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_stage():
     before = parse_configuration(FLEXURE, "stage.yaml")
     text = designed(FLEXURE, feedforward=True)

@@ -143,6 +143,7 @@ def test_a_design_of_a_design_replaces_its_header_and_section(tmp_path):
     assert values["type"] == "sliding_mode" and values["pid.Ki"] > 0.0, "the gains of the PID stay for live switching"
 
 
+@pytest.mark.slow
 def test_the_axis_really_has_the_bandwidth(tmp_path):
     """A sine at the bandwidth is attenuated by 3 dB if model and plant are equal."""
     assert run(PICMA, "--controller", "pid", "--bandwidth", 10.0, "-o", tmp_path / "f.yaml").exit_code == 0
@@ -201,6 +202,7 @@ def test_the_axis_of_a_sequencer_is_designed_too(tmp_path):
     simulate(single_axis(load_configuration(tmp_path / "f.yaml")), duration=0.01)
 
 
+@pytest.mark.slow
 def test_doubts_of_a_design_are_printed(tmp_path):
     result = run("kim2009", "--controller", "pid", "--feedforward", "--preview", "2", "-o", tmp_path / "f.yaml")
     assert "note: feedforward.preview = 2: zeros of model.dynamics outside the unit circle" in result.output
@@ -260,6 +262,7 @@ def test_design_and_comparison_refuse_the_same_inverse_of_the_dynamics():
     assert str(other.value) in str(refused.value)
 
 
+@pytest.mark.slow
 def test_feedforward_and_tuning_from_the_command_line(tmp_path):
     words = ["--controller", "pid", "--criterion", "itae", "--duration", "0.4", "--feedforward"]
     result = run(PICMA, *words, "-o", tmp_path / "f.yaml")
@@ -303,6 +306,7 @@ def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, o
     assert not (tmp_path / "f.yaml").exists()
 
 
+@pytest.mark.slow
 def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
     """0.2 % of the stroke may be noise of the command; a nanometre of it has no influence."""
     reached = {}

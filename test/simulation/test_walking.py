@@ -41,6 +41,7 @@ def test_the_motor_that_improves_least_is_nearer_to_its_path_at_speeds_that_were
         assert before.off_path > factors[part] * after.off_path, (part, before, after)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
 def test_a_motor_as_its_models_say_is_on_its_path_at_high_speed():
     found = {}
@@ -64,6 +65,7 @@ def test_the_finer_motor_of_the_figures_is_the_motor():
     assert fine.displacement == pytest.approx(coarse.displacement, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_walk_that_does_not_fit_its_motor_is_doubted_or_refused():
     configuration = load_configuration("inchworm_travel").override("inchworm_sequencer", **WALK)
     axis = single_axis(configuration)

@@ -367,6 +367,7 @@ def test_sensitivities_after_sobol_are_those_of_a_product():
     assert found.columns["total"] == pytest.approx(first + np.prod(variances) / whole, abs=0.05)
 
 
+@pytest.mark.slow
 def test_effects_after_morris_are_the_slopes():
     study, plan = asked(
         (*PRODUCT, "plant_simulator.sensor.seed=uniform(1,9)"), runs=80, design="morris", metrics=("rms_error_m",)
@@ -450,6 +451,7 @@ def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tm
     assert run_command(config, *words).exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
     """The file size is limited here; the content of the file stays, and the sweep continues with more space."""
     monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 5)

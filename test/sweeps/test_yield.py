@@ -156,6 +156,7 @@ def test_of_many_levels_those_with_the_largest_yield_are_listed_and_the_others_c
     assert shares == list(range(30, 5, -1)), listed
 
 
+@pytest.mark.slow
 def test_figures_of_a_sweep_show_values_and_bounds_in_the_displayed_unit():
     """Two of four runs are below 2 nm, three have a value; a run without one counts as not below."""
     column = Column("error [nm]", np.array([1e-9, 3e-9, np.inf, 2e-9]), 1e9)
