@@ -1385,7 +1385,11 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
     from hysteresis_ros.analysis.report import charts_of
     from hysteresis_ros.analysis.run_charts import judged
 
-    charts = {chart.name: chart for chart in charts_of(judged(_recording(source, namespace)))}
+    run = _recording(source, namespace)
+    if run.axes:
+        names = " or ".join(f"namespace='{name}'" for name in run.axes)
+        raise HysteresisError(f"the run has several axes, and a plot shows one: give {names}")
+    charts = {chart.name: chart for chart in charts_of(judged(run))}
     if kind not in charts:
         there = ", ".join(charts)
         raise HysteresisError(f"kind = {kind!r}: this recording has the plots {there}{did_you_mean(kind, charts)}")

@@ -396,6 +396,10 @@ def test_a_run_is_drawn(run, tmp_path, kind):
     assert figure.axes[0].lines
     with pytest.raises(HysteresisError, match="has the plots traces"):
         hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loops")
+    stage = hr.simulate("xy_scanner", duration=0.005)
+    with pytest.raises(hr.HysteresisError, match="a plot shows one: give namespace='x' or namespace='y'"):
+        hr.plot(stage, kind)
+    assert hr.plot(stage, namespace="y") is not None
 
 
 @pytest.mark.slow
