@@ -210,9 +210,13 @@ def remedy_for_late_voltages(device: bool, alone: bool) -> str:
     return f"{', '.join(remedies[:-1])}, or {remedies[-1]}"
 
 
+#: Number of looks at a driver in the time after which it is reported as blocked.
+LOOKS = 10
+
+
 def blocked_text(node, sample: int, patience: float) -> str:
     """Return that the driver of a plant has not returned for ``patience`` [s], and what becomes of the voltage."""
-    watchdog = node.part.capabilities.watchdog
+    watchdog = node.part.capabilities.watchdog if node.parameters.driver else 0.0  # another axis of a stage has one
     acts = (
         f"makes the device safe after {watchdog:g} s without a voltage"
         if watchdog
@@ -392,17 +396,22 @@ class RealTimePlant(RealTime):
         return [self.node]
 
     def _watch_drivers(self, thread: threading.Thread) -> None:
-        """End this process if a call of a driver does not return, because other threads wait for the sample."""
+        """End this process if a call of a driver does not return, because other threads wait for the sample.
+
+        Looks are counted, not the time, which also passes while this process is suspended.
+        """
         driven = [node for node in self.plants if node.parameters.driver]
+        before, looks = [None] * len(driven), 0
         while thread.is_alive():
-            thread.join(0.1 * METHOD_PATIENCE)
-            for node in driven:
-                begun = node.part.called_at
-                if begun is not None and time.monotonic() - begun > METHOD_PATIENCE:
-                    node.get_logger().fatal(blocked_text(node, node.sample, METHOD_PATIENCE))
-                    sys.stdout.flush()
-                    sys.stderr.flush()
-                    os._exit(1)
+            thread.join(METHOD_PATIENCE / LOOKS)
+            begun = [node.part.called_at for node in driven]
+            stuck = [node for node, now, then in zip(driven, begun, before, strict=True) if now and now == then]
+            before, looks = begun, looks + 1 if stuck else 0
+            if looks >= LOOKS:
+                stuck[0].get_logger().fatal(blocked_text(stuck[0], stuck[0].sample, METHOD_PATIENCE))
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(1)
 
     def stop_time(self) -> None:
         """Stop the timing thread."""
