@@ -526,6 +526,8 @@ class Response(AxisResponse):  # numpydoc ignore=PR02
         Loop transfer function with this model.
     margins : Margins, optional
         Margins of the loop with this model.
+    limited : float, optional
+        Share of the excitation's samples in which range or slew rate limited the voltage [%].
     """
 
     def __str__(self) -> str:
