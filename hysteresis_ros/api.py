@@ -966,7 +966,7 @@ def identify(
         A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data already read; arrays as
         ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
-        Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
+        Name of the model; ``hysteresis models`` lists the names. ``usual``: ``prandtl_ishlinskii``, or
         ``generalised_play`` or (after a poor fit) ``preisach`` if it predicts held-out data better; ``auto``: the best
         of all models.
     columns : Columns or StageColumns, optional

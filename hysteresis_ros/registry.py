@@ -14,7 +14,7 @@ instance ``MODEL``. The registry finds every module of the folder whose name doe
 add declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
-entry of a registry. Each class is generated: the block, with a constructor that takes keywords.
+entry of a registry. Each class is a subclass of the block; its constructor takes the parameters as keywords.
 
 A keyword is the last part of a parameter's dotted name if that is unique (``Kp`` for ``pid.Kp``), otherwise the
 shortest unique end of the name, with dots written as two underscores (``dynamics__sample_time``). The full name is

@@ -105,7 +105,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_collection_finish():
-    """Exclude all that was imported and collected from garbage collections, and collect as seldom as a command does.
+    """Exclude all objects of pytest's collection from garbage collection, and run the collector as rarely as a command.
 
     A collection of half a million objects takes 0.2 s, and each graph of nodes begins with one.
     """

@@ -44,7 +44,7 @@ NOT_OURS = {
 
 
 def pages() -> list[pathlib.Path]:
-    """Return the sources and pages, except this list, third-party files and generated files."""
+    """Return the source files and pages, except this file, third-party files and generated files."""
     found = [path for name in FOLDERS for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES]
     made = ("docs/reference/", "hysteresis_ros/analysis/assets/", "test/wording.py")
     kept = [path for path in found if not path.relative_to(ROOT).as_posix().startswith(made)]

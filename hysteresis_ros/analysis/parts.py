@@ -150,7 +150,8 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
 #: Largest difference between a repeating reference and itself one period later, as a fraction of its range; also the
 #: largest difference between its periods, as a fraction of a period.
 EQUAL = 0.05
-#: Number of consecutive samples that may differ more, and number of samples by which the periods may always differ.
+#: Larger differences count only if more than this number of consecutive samples differ. The lengths of the periods may
+#: always differ by this number of samples.
 JITTER = 2
 #: Part of another period that must follow the first period of a repeating reference, as a fraction of the period.
 EVIDENCE = 0.45

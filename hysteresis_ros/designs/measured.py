@@ -73,7 +73,7 @@ class MeasuredDynamics:
     """A parameter file with dynamics from a measurement."""
 
     text: str
-    figures: dict  #: Figures of the fit, by names with units.
+    figures: dict  #: Figures of the fit, by names that contain their units.
     warnings: tuple[str, ...]
 
 

@@ -268,7 +268,7 @@ class Driver(ABC):
         raise DriverError(type(self).__name__, "has no trigger input", remedy)
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code accesses the open device; None: only Python methods.
+        """Return the functions with which compiled code accesses the open device; None: only Python methods.
 
         The functions stay valid until :meth:`close`. Without them the fused loop calls the Python methods, and waits
         for the interpreter lock in each sample.

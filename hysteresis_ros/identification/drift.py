@@ -47,7 +47,7 @@ class Drift(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the line exceeds what creep could cause."""
+        """Whether the drift is larger than its uncertainty from noise and unmodelled creep."""
         return abs(self.value) > CERTAIN * self.deviation
 
 

@@ -328,7 +328,7 @@ class ResponseMatrix:
     condition: np.ndarray  #: shape (F,); Condition number of the matrix of input spectra (inputs × realisations).
 
     def level(self, covariance) -> np.ndarray:
-        """Return the RMS value [m] of each output, shape (q,), from a covariance: the sum over the lines."""
+        """Return the RMS value [m] of each output, shape (q,), from its variance summed over all lines."""
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:

@@ -39,9 +39,9 @@ NODES = 33
 FREE_CELLS = 16
 #: Largest number of nodes of the map along each threshold.
 MOST_NODES = 65
-#: Approximate number of samples with which the linear part after a free density is searched.
+#: Approximate number of samples during the search for the linear part that follows a free density.
 SEARCHED = 1500
-#: Number of cells along each threshold with which the linear part after a free density is searched.
+#: Number of cells along each threshold during the search for the linear part that follows a free density.
 SEARCHED_CELLS = 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01

@@ -650,7 +650,7 @@ PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 
 
 def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]:
-    """Return the voltage [V] before the recording with the smallest ``cost(voltage)``, and this cost.
+    """Return the voltage before the recording that minimises ``cost`` [V], and the cost at this voltage.
 
     Units: ``largest`` [V].
     """

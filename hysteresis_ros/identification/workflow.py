@@ -81,7 +81,8 @@ FEWEST_COMPARED = 50
 PRIOR_MODEL = "prandtl_ishlinskii"
 #: Models with more freedom than the others.
 FREER_MODELS = ("generalised_play",)
-#: A model whose error on the first held-out part exceeds this multiple of the smallest error is not fitted again.
+#: A model whose error on the first held-out part exceeds this multiple of the smallest error is not fitted again,
+#: except :data:`PRIOR_MODEL`.
 BEHIND = 1.5
 
 

@@ -60,7 +60,7 @@ PLANTS = (
 )
 #: Error of the linear model as a fraction of the remaining distance to the setpoint.
 ROUGHNESS = 0.3
-#: Weight of a move relative to the move after it.
+#: Forgetting factor of the estimate: weight of a move relative to the next move.
 FORGETTING = 0.98
 #: Number of samples in a simulation of the noise at rest.
 REST = 8192

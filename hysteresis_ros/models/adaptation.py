@@ -304,9 +304,9 @@ def learn(settings, states, measured, usable):
 
 @called
 def put_in(settings, states, p_h, x_h, voltage):
-    """Write the factors into the weights of the model without a jump of its output.
+    """Write the factors into the weights of the model, without a jump of its output if the model has an offset.
 
-    The offset compensates the change of the weights; the memory of the model does not change.
+    The offset compensates the change of the weights within its limits; the memory of the model does not change.
     """
     own, places, nominal = settings.own, settings.places, settings.nominal
     terms, zones, offset = int(own[TERMS]), int(own[ZONES]), int(own[OFFSET_PLACE])

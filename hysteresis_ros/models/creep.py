@@ -167,7 +167,7 @@ class Creep(Block):
         return np.concatenate([[feedthrough, len(weights)], decays, weights])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (1 + operators,), at rest at zero."""
+        """Return the initial state x, shape (1 + operators,): at rest at zero displacement."""
         return np.zeros(OPERATOR + int(self.p[OPERATORS]))
 
     def settle(self, u: float) -> float:

@@ -49,7 +49,7 @@ class LinearTerms:
     signals : tuple of int
         Index in x of the signal that each weight multiplies [V]; ``NOWHERE``: the weight multiplies the output voltage.
     opening : tuple of bool
-        Whether each weight widens the loops, because its signal lags behind the voltage.
+        True for each weight that widens the loops: its signal lags behind the voltage.
     zones : tuple of (int, int)
         Indices in p of threshold [m] and slope of each dead zone after the sum; the thresholds scale with the gain.
     output : int

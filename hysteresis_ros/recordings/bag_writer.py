@@ -533,7 +533,7 @@ LOOK = 1.0
 
 
 class GuardedBag:
-    """Writes into a bag as long as possible, and flushes it regularly."""
+    """Writes to a bag until a write fails or the disk is nearly full; flushes the bag regularly."""
 
     def __init__(self, bag: BagWriter, flush_time: float):
         self.bag: BagWriter | None = bag

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repair of a cut-off or damaged bag into a new folder, for ``ros2 bag``, Foxglove and ``rosbags``."""
+"""Repair of a truncated or damaged bag, written to a new folder, for ``ros2 bag``, Foxglove and ``rosbags``."""
 
 from __future__ import annotations
 

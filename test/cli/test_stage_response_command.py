@@ -78,7 +78,7 @@ def recording(u, cubic=0.0, noise=NOISE, seed=3) -> Recording:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Return the path of a recording, and the result of the command."""
+    """Return the folder with the recording and the results, and the result of the command."""
     folder = tmp_path_factory.mktemp("frf")
     path = folder / "run.npz"
     save_run(recording(multisines()), path)

@@ -236,7 +236,7 @@ def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_
     outer, _ = linear_loop(with_it, T)
     both, bare = whole_loop(with_it, T)
     assert bare.order == plants[0].plant.order
-    # cut at the plant, both feedbacks are in the loop
+    # a loop that is cut at the plant contains both feedbacks
     z = np.exp(1j * np.array([0.01, 0.1, 0.22, 1.0]))
     P, fed = bare.response(z)[:, :, 0], loop.feedback.response(z)[:, 0, 0]
     parts = loop.forward * outer.response(z)[:, 0, 1] * P[:, 0], fed * (P @ loop.seen[0])

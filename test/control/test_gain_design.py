@@ -195,7 +195,7 @@ def test_a_pid_has_the_largest_gain_within_the_margins(sign):
     wanted = 0.5 * judged(1.0).bandwidth
     gains = design_pid(given, plant, T, bandwidth=wanted)
     assert judged(1.0).bandwidth >= wanted > judged(0.9999).bandwidth
-    # the requirements of every design allow more than those aimed at, and a requested bandwidth needs only the former
+    # REQUIRED allows more than AIMED, and a design with a requested bandwidth has to meet only REQUIRED
     most = design_pid(given, plant, T, aimed=REQUIRED)
     assert abs(most.Ki) > 1.01 * abs(design_pid(given, plant, T).Ki)
     assert abs(design_pid(given, plant, T, bandwidth=1.01 * 2.0 * wanted).Ki) <= abs(most.Ki)

@@ -99,7 +99,7 @@ def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it
 @pytest.mark.parametrize("late", [1, 4])
 @pytest.mark.parametrize("pole", [0.5, 0.8, 0.97])
 def test_how_long_a_loop_answers_a_step_and_a_wrong_sample(pole, late):
-    """A lag of pole a after some samples: 1 − a^k of a step is there, and a^k of a pulse is left, k samples later."""
+    """Step response of a lag with pole a: 1 − a^k at its k-th sample. Pulse: a^k of the peak, k samples after it."""
     z = np.exp(1j * np.linspace(0.0, np.pi, 2**14 + 1))
     lag = z**-late * (1.0 - pole) / (1.0 - pole / z)
     loop = Response(lag, lag[np.newaxis], lag, lag)

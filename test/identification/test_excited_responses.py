@@ -101,7 +101,7 @@ def test_distortion_is_odd_or_even_as_the_plant_is_and_noise_is_noise(kind, nonl
         if name == expected:
             assert levels[name] > 10.0 * levels["noise"], levels
         else:
-            # a thousandth of the distortion of the exact operator: after two periods it has not settled completely
+            # up to 0.1 % of the largest level: after two periods the play operators have not settled completely
             assert levels[name] < 2.0 * levels["noise"] + 1e-3 * max(levels.values()), levels
 
 

@@ -1448,7 +1448,7 @@ RUNS: dict[str, Callable[[], Signals]] = {
 
 
 def digest(values: np.ndarray) -> str:
-    """Return a digest of the bits of a signal; the bits of NaN depend on the processor, and count as those of one."""
+    """Return a digest of the bits of a signal; every NaN counts as the same NaN, because its bits vary."""
     values = np.asarray(values, dtype=float)
     return hashlib.sha256(np.where(np.isnan(values), np.nan, values).tobytes()).hexdigest()[:10]
 

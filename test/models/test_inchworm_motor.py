@@ -40,7 +40,7 @@ from hysteresis_ros.models.sensor import SensorParameters
 @pytest.mark.parametrize("load", [0.0, -2.0, 2.0, -3.0])
 @pytest.mark.parametrize("hysteresis, stroke", [(LINE, 12e-6), (STACK, 12.3e-6 - 1.5e-6)])
 def test_a_cycle_is_the_stroke_less_the_elastic_loss(hysteresis, stroke, load):
-    """Forward the slider gains the stroke; a load costs load/stiffness, because each grip loads the extender again."""
+    """A forward cycle moves the slider by stroke + load/stiffness, because each grip loads the extender again."""
     made = Inchworm(motor(load, hysteresis), STEP)
     run(made, cycle())  # the hysteresis closes its first loop
     start = made.displacement

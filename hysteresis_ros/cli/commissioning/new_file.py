@@ -106,7 +106,7 @@ _STAGE_TEMPLATE = string.Template("""\
 
 @dataclass(frozen=True)
 class NewAxis:
-    """The user's data of a new axis."""
+    """Data that the user gives for a new axis."""
 
     stroke: float  #: Displacement over the range of voltage [m].
     minimum: float  #: minimum, maximum: Range of voltage [V].

@@ -722,7 +722,7 @@ class GcsDriver(Driver):
         return (servo, ("VOL?", self._channel)) if looks else (servo,)
 
     def _check(self, link: GcsLink, answers: list[float], code: int) -> None:
-        """Refuse a controller whose settings were changed."""
+        """Raise an error if the device reports one, or if another program has changed its servo state or voltage."""
         given, (servo, *voltage) = self._given, answers
         on = given.mode == "servo"
         if bool(servo) != on:
