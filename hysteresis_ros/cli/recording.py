@@ -249,8 +249,8 @@ def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
     """Write the readable part of BAG (a folder, .mcap or .db3) to a new folder that every tool can read.
 
     All complete messages are kept; index, statistics and metadata.yaml are rebuilt, so that ros2 bag, Foxglove and
-    rosbags open it. BAG itself is not changed. Reports of this package can also be
-    made of a truncated bag, without repair.
+    rosbags open it. BAG itself is not changed. Reports of this package can also be made of a truncated bag, without
+    repair.
     """
     from hysteresis_ros.recordings import repair as repairing
 

@@ -87,16 +87,17 @@ class Device:
         return self
 
     @contextlib.contextmanager
-    def _named(self, what: str, *passed: type[Exception]) -> Iterator[None]:
+    def _named(self, what: str, *passed: type[Exception], exits: bool = False) -> Iterator[None]:
+        """Turn errors of the driver into a DriverError; ``exits``: in the main thread also SystemExit is an error."""
         if not self._open:
             raise DriverError(self.name, f"{what}: it is closed", "configure the node again")
         try:
             yield
         except passed:
             raise
-        except BaseException as error:  # any error of a driver must make the axis safe
-            if not isinstance(error, Exception) and threading.current_thread() is threading.main_thread():
-                raise  # a signal
+        except BaseException as error:  # any error of a driver must make the axis safe, also SystemExit
+            if not (exits or isinstance(error, Exception) or threading.current_thread() != threading.main_thread()):
+                raise  # a signal during the start
             cause = _as_driver_error(error)
             raise DriverError(self.name, f"{what}: {cause.device} {cause.problem}", cause.remedy) from error
 
@@ -264,7 +265,7 @@ class Device:
         if not self._open:
             return
         try:
-            with self._named("cannot be made safe"):
+            with self._named("cannot be made safe", exits=True):
                 self._make_safe()
         except DriverError as error:
             if self.left_at is None:
@@ -275,7 +276,7 @@ class Device:
             raise DriverError(error.device, problem, remedy) from error
 
     def _make_safe(self) -> None:
-        with self._calling, _exits_are_errors():
+        with self._calling:
             self._driver.make_safe()
         self._written = None
 
@@ -330,7 +331,7 @@ class Device:
             except DriverError as error:
                 wrong = str(error)
         # no caller can handle the error any more
-        with contextlib.suppress(DriverError), self._named("cannot be closed"), _exits_are_errors():
+        with contextlib.suppress(DriverError), self._named("cannot be closed", exits=True):
             self._driver.close()
         self._open = False
         return wrong
@@ -371,7 +372,7 @@ class _MethodFunctions:
             write,
             make_safe,
             0,
-            self._explain,
+            self._errors.__getitem__,
             clock if can.clock else 0,
             trigger if can.trigger_rate and not can.compares else 0,
             pulses if can.trigger_input else 0,
@@ -391,10 +392,6 @@ class _MethodFunctions:
 
         return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, *arguments)(call)
 
-    def _explain(self, code: int) -> DriverError:
-        """Return the exception that became an error code."""
-        return self._errors.get(code) or _as_driver_error(RuntimeError(f"error code {code}"))
-
     def _read(self, positions) -> int:
         values = self._device._checked_reading()
         if math.isnan(values[0]):
@@ -411,15 +408,6 @@ class _MethodFunctions:
 
     def _pulses(self, count) -> None:
         count[0] = int(self._device._driver.pulses())
-
-
-@contextlib.contextmanager
-def _exits_are_errors() -> Iterator[None]:
-    """Turn SystemExit and KeyboardInterrupt of a driver into its error, also in the main thread."""
-    try:
-        yield
-    except (SystemExit, KeyboardInterrupt) as error:
-        raise _as_driver_error(error) from error
 
 
 def _as_driver_error(error: BaseException) -> DriverError:

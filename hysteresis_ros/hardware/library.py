@@ -10,11 +10,10 @@
 """Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted folders.
 
 The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
-must belong to root, to the user of this process, or to the owner of this package, and
-and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all users,
-because only the owner of an entry can remove or rename it, and the entry is checked next. A group may have write
-permission if it has no other members, such as the private group of a user on many systems. Access control lists are not
-checked.
+must belong to root, to the user of this process, or to the owner of this package, and no other user may write to them.
+A folder with the sticky bit, such as ``/tmp``, may be writable for all users, because only the owner of an entry can
+remove or rename it, and the entry is checked next. A group may have write permission if it has no other members, such
+as the private group of a user on many systems. Access control lists are not checked.
 """
 
 from __future__ import annotations

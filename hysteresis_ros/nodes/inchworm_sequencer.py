@@ -182,10 +182,8 @@ class InchwormSequencerNode(ReferenceSource):
         return self._ask(response, at.RELEASE_REQUEST, "opens the front clamp and relaxes the extender")
 
     def _on_learn(self, request, response):
-        if self.parameters is not None and not self.parameters.walk.continuous:
-            response.success = False
-            response.message = "walk.continuous = false: must be true: only continuous walking learns a correction"
-            return response
+        if self.parameters is not None:
+            self.sequencer.require_continuous()
         return self._ask(response, at.LEARN_REQUEST, "learns from the next cycle of continuous walking; requested")
 
     def _on_freeze(self, request, response):

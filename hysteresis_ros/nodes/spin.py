@@ -149,13 +149,9 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         executor = make_executor()
         for node in nodes:
             executor.add_node(node)
-        # all nodes are configured before the first node is activated
-        for step in ("configure_now", "activate_now"):
-            if step == "activate_now":
-                await_discovery(nodes)
-            for node in nodes:
-                if node.autostart and not getattr(node, step)():
-                    return node.exit_code or 2
+        code = _start(nodes)
+        if code:
+            return code
         starting = False
         release_compiler()
         return _spin(executor, nodes, stop)
@@ -169,6 +165,17 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         if rclpy.ok():
             rclpy.shutdown()
         kept.close()
+
+
+def _start(nodes: list) -> int:
+    """Configure all nodes, then activate them; return the exit code of a node that refuses, 0 if all are active."""
+    for step in ("configure_now", "activate_now"):
+        if step == "activate_now":
+            await_discovery(nodes)
+        for node in nodes:
+            if node.autostart and not getattr(node, step)():
+                return node.exit_code or 2
+    return 0
 
 
 def _release(executor, nodes: list, claims: list) -> None:

@@ -657,6 +657,19 @@ class InchwormSequencer(Block):
         starts = at.WALK, at.WALK + 2 * n
         return LearnedWalk(self.parameters.walk.step, *(self.x[first : first + n].copy() for first in starts))
 
+    def require_continuous(self) -> None:
+        """Refuse requests about learning if the motor walks in steps.
+
+        Raises
+        ------
+        ParameterError
+            Continuous walking is off.
+        """
+        if not self.parameters.walk.continuous:
+            raise ParameterError(
+                [Problem("walk.continuous", False, "must be true: only continuous walking learns a correction")]
+            )
+
     def save(self, path=None) -> None:
         """Write the learned correction of continuous walking.
 
@@ -672,11 +685,8 @@ class InchwormSequencer(Block):
         ConfigurationError
             The file cannot be written.
         """
+        self.require_continuous()
         walk = self.parameters.walk
-        if not walk.continuous:
-            raise ParameterError(
-                [Problem("walk.continuous", False, "must be true: only continuous walking learns a correction")]
-            )
         if not (path or walk.save_file):
             raise ParameterError(
                 [Problem("walk.save_file", "", "names no file; give one, because only this file can be written")]

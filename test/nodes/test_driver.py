@@ -211,7 +211,7 @@ def test_a_driver_that_cannot_be_opened_ends_the_node_in_one_line(processes, tmp
 
 #: A driver that does not return from its 100th voltage, and shortens the patience of its process.
 STUCK = """import pathlib
-import time
+import threading
 from dataclasses import dataclass
 
 from hysteresis_ros.configuration import Parameters
@@ -237,9 +237,9 @@ class Stuck(Driver):
 
     def write(self, voltages):
         self.written, self.voltage = self.written + 1, voltages[0]
-        while self.written >= 100:
+        if self.written >= 100:
             pathlib.Path(__file__).with_name("stuck").touch()
-            time.sleep(0.05)
+            threading.Event().wait()
 
     def make_safe(self):
         pass

@@ -115,12 +115,13 @@ def test_a_motor_that_walks_in_steps_refuses_to_learn(inside):
     from std_srvs.srv import Trigger
 
     from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+    from hysteresis_ros.nodes.parameters import answered
 
     given = motor().inchworm_sequencer
     given = replace(given, walk=replace(given.walk, continuous=False))
     sequencer = inside.add(InchwormSequencerNode, given, autostart=False)
     assert sequencer.configure_now()
-    answer = sequencer._on_learn(None, Trigger.Response())
+    answer = answered(sequencer._on_learn)(None, Trigger.Response())
     assert not answer.success and "only continuous walking learns" in answer.message
 
 

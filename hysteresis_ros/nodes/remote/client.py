@@ -161,15 +161,20 @@ class Client:
 
     def why_silent(self, full: str) -> str:
         """Return why a node does not answer, from its last diagnostics."""
+        busy = self.last_report(full, SETTLED, bool) == COMPILING_TEXT
+        return COMPILING_TEXT if busy else "it hangs or has been killed"
+
+    def last_report(self, full: str, seconds: float, wanted: Callable[[str], bool]) -> str:
+        """Return the message of a node's diagnostics: the first that is wanted, or the last within ``seconds`` [s]."""
         said: dict[str, str] = {}
 
         def hear(message: DiagnosticArray) -> None:
             said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
 
         ear = self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps=True))
-        self.until(lambda: full in said, SETTLED)
+        self.until(lambda: wanted(said.get(full, "")), seconds)
         self.node.destroy_subscription(ear)
-        return COMPILING_TEXT if said.get(full) == COMPILING_TEXT else "it hangs or has been killed"
+        return said.get(full, "")
 
 
 def axis_nodes(names) -> dict[str, list[str]]:

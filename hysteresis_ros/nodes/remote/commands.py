@@ -703,11 +703,5 @@ def _cause(client: Client, source: str, state: dict[str, float]) -> str:
     if round(state.get("mode", 0.0)) != TRIPPED:
         return ""
     plant = f"{source.rpartition('/')[0]}/{signals.PLANT}"
-    said: dict[str, str] = {}
-
-    def hear(message: DiagnosticArray) -> None:
-        said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
-
-    client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps=True))
-    client.until(lambda: "stopped" in said.get(plant, ""), ANSWER)
-    return f"; {said[plant]}" if plant in said else ""
+    said = client.last_report(plant, ANSWER, lambda text: "stopped" in text)
+    return f"; {said}" if said else ""
